@@ -1,0 +1,1 @@
+"""Grippers, objects and the scene bundle made of one of each."""

@@ -1,0 +1,1 @@
+"""Archives of diverse, robust 6-DoF grasps by distributed quality-diversity search."""

@@ -1,0 +1,1 @@
+"""The contract of qdgrasp: words, specs, messages and the bus they travel on."""

@@ -1,0 +1,109 @@
+"""Every error that qdgrasp raises on purpose.
+
+* QdgraspError
+    * InputError             bad input or environment: exit code 2
+        * UnknownName            a name that no table has
+        * UnknownKey             a key that no field of a spec has
+        * ImpossibleValue        a value outside what a field allows
+        * AssetError             a file, mesh, URDF or gripper that cannot be used
+        * FolderError            a run folder that cannot be used
+        * EndpointError          an endpoint that cannot be listened on or reached
+    * BusError               the bus did not do what was asked
+        * Refused                the other side answered with a reason why not
+        * NoReply                nobody answered
+    * MessageError           a message that is not of the protocol; counted and dropped
+    * ReplayError            a journal that its own spec does not replay to
+    * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
+"""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class QdgraspError(Exception):
+    """The root of the family. `exit_code` is what a command that ends with it returns."""
+
+    exit_code = 1
+
+
+class InputError(QdgraspError):
+    """Bad input or environment, said in one sentence."""
+
+    exit_code = 2
+
+
+class UnknownName(InputError):
+    """A name that no table has.
+
+    Parameters
+    ----------
+    kind
+        What was named: "gripper", "object", "method" ...
+    name
+        The name that came.
+    known
+        The names that exist.
+    hint
+        What to do besides choosing one of them.
+    """
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
+        names = sorted(known)
+        close = get_close_matches(name, names, n=1)
+        guess = f" Did you mean '{close[0]}'?" if close else ""
+        super().__init__(
+            f"Unknown {kind} '{name}'.{guess} Known: {', '.join(names)}.{' ' if hint else ''}{hint}"
+        )
+
+
+class UnknownKey(InputError):
+    """A key in a TOML file that no field has."""
+
+    def __init__(self, where: str, key: str, known: Iterable[str]) -> None:
+        names = sorted(known)
+        close = get_close_matches(key, names, n=1)
+        guess = f" Did you mean '{close[0]}'?" if close else ""
+        super().__init__(f"{where}: unknown key '{key}'.{guess} Known keys: {', '.join(names)}.")
+
+
+class ImpossibleValue(InputError):
+    """A value outside what a field allows."""
+
+    def __init__(self, field: str, value: object, expected: str) -> None:
+        super().__init__(f"{field} must be {expected}, got {value!r}.")
+
+
+class AssetError(InputError):
+    """A file, mesh, URDF or gripper that cannot be used."""
+
+
+class FolderError(InputError):
+    """A run folder that cannot be used."""
+
+
+class EndpointError(InputError):
+    """An endpoint that cannot be listened on or reached."""
+
+
+class BusError(QdgraspError):
+    """The bus did not do what was asked."""
+
+
+class Refused(BusError):
+    """The other side answered a query with a reason why not."""
+
+
+class NoReply(BusError):
+    """Nobody answered a query in time."""
+
+
+class MessageError(QdgraspError):
+    """A message that is not of the protocol; it is counted and dropped."""
+
+
+class ReplayError(QdgraspError):
+    """A journal that its own spec does not replay to."""
+
+
+class EndedEarly(QdgraspError):
+    """The job stopped before its budget; `qdgrasp resume` goes on."""

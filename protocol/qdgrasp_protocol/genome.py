@@ -1,0 +1,47 @@
+"""Genomes: which genes a prior has, and the intervals that the genes in [-1, 1] stand for.
+
+A genome is a float32 vector. The search sees only numbers in [-1, 1]; decoding maps them linearly to
+the intervals (Huber et al. 2024, section III-B, "each component is projected in its own interval").
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+GIVEN = "given"
+"""The prior of poses that are scored as they are: its genes are the pose itself, not numbers in [-1, 1]."""
+
+
+@dataclass(frozen=True)
+class Gene:
+    """One component of a genome."""
+
+    name: str
+    low: float
+    """What -1 stands for, in the gene's own unit (m or rad)."""
+    high: float
+    """What +1 stands for."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The genes of a genome, in order."""
+
+    prior: str
+    genes: tuple[Gene, ...]
+
+    def __len__(self) -> int:
+        return len(self.genes)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The genes' names, in order."""
+        return tuple(gene.name for gene in self.genes)
+
+    def values(self, genomes: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Map genomes (n, d) in [-1, 1] to their intervals; (n, d) in m and rad, float64."""
+        low = np.array([gene.low for gene in self.genes])
+        high = np.array([gene.high for gene in self.genes])
+        values: NDArray[np.float64] = low + (genomes.astype(np.float64) + 1.0) / 2.0 * (high - low)
+        return values

@@ -1,0 +1,117 @@
+"""The keys of `qdgrasp/v1`: built, parsed and validated here and nowhere else.
+
+Chunks that start with `@` are verbatim in zenoh: `qdgrasp/**` does not match them, so that a careless
+subscriber cannot hear, or slow, the bulk of the traffic.
+"""
+
+import re
+
+from qdgrasp_protocol.errors import ImpossibleValue
+
+ROOT = "qdgrasp/v1"
+NAME = re.compile(r"[a-z0-9_-]{1,64}")
+WID = re.compile(r"[0-9a-f]{32}")
+DIGEST = re.compile(r"[0-9a-f]{64}")
+
+
+def job_name(text: str) -> str:
+    """Reduce any text, such as a folder's name, to the characters a job's name may have."""
+    return re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-")[:64] or "job"
+
+
+class Keys:
+    """The keys of one job.
+
+    Raises
+    ------
+    ImpossibleValue
+        The job's name is not of the allowed characters.
+    """
+
+    def __init__(self, job: str) -> None:
+        if not NAME.fullmatch(job):
+            raise ImpossibleValue("job", job, "1 to 64 of the characters a-z, 0-9, '_' and '-'")
+        self.job = job
+        self.root = f"{ROOT}/{job}"
+
+    def work(self, wid: str) -> str:
+        """Coordinator to worker: a leased batch."""
+        return f"{self.root}/@work/{wid}"
+
+    def result(self, wid: str = "*") -> str:
+        """Worker to coordinator: its result."""
+        return f"{self.root}/@result/{wid}"
+
+    def ctl(self, wid: str) -> str:
+        """Coordinator to worker: cancel, drain."""
+        return f"{self.root}/@ctl/{wid}"
+
+    @property
+    def join(self) -> str:
+        """Worker to coordinator, query: join, rejoin."""
+        return f"{self.root}/rpc/join"
+
+    def asset(self, digest: str = "*") -> str:
+        """Worker to coordinator, query per chunk: a scene bundle by its digest."""
+        return f"{self.root}/@asset/{digest}"
+
+    def outcome(self, epoch: int | None = None) -> str:
+        """Coordinator to recorder: settled rows."""
+        return f"{self.root}/@outcome/{'*' if epoch is None else epoch}"
+
+    @property
+    def recorded(self) -> str:
+        """Recorder to coordinator: the highest durable number."""
+        return f"{self.root}/@recorded"
+
+    @property
+    def open(self) -> str:
+        """Coordinator to recorder, query: opens a job."""
+        return f"{self.root}/rec/open"
+
+    @property
+    def log(self) -> str:
+        """Anyone to recorder, query: recorded rows from a number on."""
+        return f"{self.root}/rec/log"
+
+    def coordinator_token(self, epoch: int) -> str:
+        """Liveliness of a coordinator."""
+        return f"{self.root}/live/coord/{epoch}"
+
+    def worker_token(self, wid: str = "*") -> str:
+        """Liveliness of a worker."""
+        return f"{self.root}/live/worker/{wid}"
+
+    def recorder_token(self, rid: str = "*") -> str:
+        """Liveliness of a recorder."""
+        return f"{self.root}/live/recorder/{rid}"
+
+    def stat(self, what: str) -> str:
+        """To monitors: `job`, `run/<run>` or `worker/<wid>`, JSON, about once a second."""
+        return f"{self.root}/stat/{what}"
+
+    def event(self, kind: str) -> str:
+        """To monitors: something happened, JSON."""
+        return f"{self.root}/event/{kind}"
+
+    @property
+    def meta(self) -> str:
+        """To monitors: what this job is, JSON."""
+        return f"{self.root}/meta"
+
+
+COORDINATOR_TOKENS = f"{ROOT}/*/live/coord/*"
+"""The coordinators of all jobs, for workers that serve whatever job there is."""
+
+
+def job_of(key: str) -> str | None:
+    """The job that a key belongs to; None where the key is not one of ours."""
+    parts = key.split("/")
+    if len(parts) < 4 or "/".join(parts[:2]) != ROOT or not NAME.fullmatch(parts[2]):
+        return None
+    return parts[2]
+
+
+def last_chunk(key: str) -> str:
+    """The chunk behind the last slash: a worker's id, an epoch, a digest."""
+    return key.rsplit("/", 1)[-1]

@@ -1,0 +1,177 @@
+"""What travels on the bus: flat frozen structs, one per kind of message.
+
+Field names are the wire's names. Arrays travel as one little-endian blob each (`rows`): messages that
+carry rows hold them in `columns`, by the names of `rows.COLUMNS`.
+"""
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+VERSION = 1
+"""The version of the protocol that this package speaks."""
+
+Wid = Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$")]
+"""A worker process: 128 random bits, new at every start."""
+Digest = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$")]
+Name = Annotated[str, Meta(pattern=r"^[a-z0-9_-]{1,64}$")]
+BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
+Count = Annotated[int, Meta(ge=0, lt=2**63)]
+RowCount = Annotated[int, Meta(ge=1, le=4096)]
+Width = Annotated[int, Meta(ge=0, le=256)]
+Number = Annotated[float, Meta(ge=0)]
+
+
+class Message(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The root of all messages."""
+
+    v: Annotated[int, Meta(ge=1)] = VERSION
+
+
+class Work(Message, frozen=True, kw_only=True):
+    """Coordinator to worker: a leased batch, rows of one generation of one run."""
+
+    epoch: Count
+    run: Name
+    scene: Digest
+    prior: Annotated[str, Meta(pattern=r"^[a-z_]{1,32}$")]
+    generation: Count
+    batch: BatchId
+    attempt: Count
+    join: Count
+    """The worker's join number that this lease belongs to (the join fence)."""
+    n: RowCount
+    genes: Width
+    columns: dict[str, bytes]
+    """`index`, `trial` and `genome`."""
+
+
+class Failure(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A row of a batch on which the simulator failed."""
+
+    row: Count
+    """Its place in the batch."""
+    reason: Annotated[str, Meta(max_length=200)]
+
+
+class Result(Message, frozen=True, kw_only=True):
+    """Worker to coordinator: what a batch found."""
+
+    epoch: Count
+    run: Name
+    generation: Count
+    batch: BatchId
+    attempt: Count
+    wid: Wid
+    n: RowCount
+    joints: Width
+    descriptors: Width
+    columns: dict[str, bytes]
+    """All of `rows.RESULT`; rows named in `failures` hold zeros."""
+    cpu_seconds: Number
+    failures: list[Failure] = []
+
+
+class Join(Message, frozen=True, kw_only=True):
+    """Worker to coordinator, query: serve this job."""
+
+    versions: list[int]
+    wid: Wid
+    number: Count
+    """Counts this worker's joins; the coordinator forgets what older ones were leased."""
+    credit: Annotated[int, Meta(ge=1, le=64)]
+    """How many batches may be outstanding."""
+    held: list[BatchId]
+    """Batches still held from before."""
+    host: str
+    pid: Count
+    platform: dict[str, str]
+    """What decides the bits of a result: versions, evaluation code, digest of the probe set."""
+
+
+class Joined(Message, frozen=True, kw_only=True):
+    """The answer to a join."""
+
+    epoch: Count
+    lease_seconds: Number
+    drop: list[BatchId]
+
+
+class Control(Message, frozen=True, kw_only=True):
+    """Coordinator to worker: drop a batch, or leave."""
+
+    epoch: Count
+    drop: list[BatchId] = []
+    drain: bool = False
+
+
+class Recordable(Message, frozen=True, kw_only=True):
+    """Consecutive rows of a run in journal order, settled: to the recorder, and back at replay."""
+
+    epoch: Count
+    run: Name
+    first: Count
+    """The number of the first row; numbers count rows of the run, across epochs."""
+    n: Annotated[int, Meta(ge=0, le=4096)]
+    genes: Width
+    joints: Width
+    descriptors: Width
+    columns: dict[str, bytes]
+    """All of `rows.COLUMNS`."""
+    cpu_seconds: Number = 0.0
+    """What these rows cost on their workers, outside the digest."""
+    failures: list[Failure] = []
+    """Why rows with `Outcome.ERROR` failed."""
+
+
+class Recorded(Message, frozen=True, kw_only=True):
+    """Recorder to coordinator: how many rows of a run are durable."""
+
+    epoch: Count
+    run: Name
+    durable: Count
+    trouble: Annotated[str, Meta(max_length=200)] = ""
+    """Why the recorder cannot write now, in words; empty when it can."""
+
+
+class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One run of a job that is opened."""
+
+    run: Name
+    spec: bytes
+    """The full spec as TOML."""
+    scene: Digest
+    genes: Width
+    joints: Width
+    descriptors: Width
+
+
+class Open(Message, frozen=True, kw_only=True):
+    """Coordinator to recorder, query: opens a job with its runs."""
+
+    job: Name
+    runs: list[OpenRun]
+
+
+class Opened(Message, frozen=True, kw_only=True):
+    """The answer: the coordinator's epoch and the durable number of each run, in the order asked."""
+
+    epoch: Count
+    durable: list[Count]
+    platform: dict[str, str]
+    """The platform that the recorded rows were made on; empty when there are none."""
+
+
+class Platform(Message, frozen=True, kw_only=True):
+    """Coordinator to recorder: the platform of this job's rows, known once the first worker joined."""
+
+    epoch: Count
+    platform: dict[str, str]
+
+
+class Log(Message, frozen=True, kw_only=True):
+    """Query to the recorder: recorded rows of a run from number `first` on, at most `limit`."""
+
+    run: Name
+    first: Count
+    limit: RowCount

@@ -1,0 +1,119 @@
+"""What is asked for: run and job specs, as frozen structs, read from TOML or from flags, strictly.
+
+Flags and TOML say the same things; a run folder holds the full spec, so that `qdgrasp run DIR/spec.toml`
+repeats it. Workers and batch size are not part of a spec: no result depends on them.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+import msgspec
+import tomli_w
+from msgspec import Meta, Struct
+
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
+
+ProtocolName = Literal["paper", "released"]
+"""The evaluation protocols (DESIGN.md section 5)."""
+Overlaps = Literal["count", "redraw"]
+"""Whether a pose whose open hand overlaps the object counts as an evaluation."""
+
+
+class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
+    """One search: scene, method, seed and budget."""
+
+    gripper: str
+    """A built-in gripper, one on the asset path, or a gripper's TOML file."""
+    object: str
+    """A built-in object, one on the asset path, or a mesh file in metres."""
+    mass: Annotated[float, Meta(gt=0)] | None = None
+    """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
+    friction: Annotated[float, Meta(gt=0, le=10)] | None = None
+    """Lateral friction coefficient of the object; None: 0.5, the paper's."""
+    method: str = "contact_me_scs"
+    protocol: ProtocolName = "paper"
+    evaluations: Annotated[int, Meta(ge=1)] = 10_000
+    """The budget: counted evaluations."""
+    seed: Annotated[int, Meta(ge=0, lt=2**63)] = 0
+    overlaps: Overlaps = "count"
+    population: Annotated[int, Meta(ge=1, le=4096)] = 500
+    """Genomes in a generation (the paper's mu = lambda)."""
+    mutation_sigma: Annotated[float, Meta(gt=0, le=2)] = 0.1
+    """Standard deviation of the Gaussian mutation, in genes."""
+    mutation_probability: Annotated[float, Meta(gt=0, le=1)] = 0.3
+    """The probability that a gene mutates."""
+    generations_in_flight: Annotated[int, Meta(ge=1, le=16)] = 1
+    """Generation g is asked when generation g minus this has been told."""
+    surface_seed: Annotated[int, Meta(ge=0, lt=2**63)] = 0
+    """Seed of the surface points, part of the scene."""
+
+
+def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
+    """Make a spec of plain values.
+
+    Raises
+    ------
+    UnknownKey
+        A key that no field has; the known ones are named.
+    ImpossibleValue
+        A value of the wrong type or outside what the field allows.
+    InputError
+        `gripper` or `object` is missing.
+    """
+    fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
+    for key in values:
+        if key not in fields:
+            raise UnknownKey(where, key, fields)
+    for field in fields.values():
+        if field.required and field.name not in values:
+            raise InputError(
+                f"{where}: '{field.name}' is missing; name one with --{field.name} or in the spec."
+            )
+    for key, value in values.items():
+        try:
+            msgspec.convert(value, fields[key].type)
+        except msgspec.ValidationError:
+            raise ImpossibleValue(f"{where}: {key}", value, _expected(fields[key].type)) from None
+    return msgspec.convert(values, RunSpec)
+
+
+def read_run_spec(path: Path) -> dict[str, Any]:
+    """The values in a TOML file, not yet checked.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"No spec can be read at '{path}': {error.strerror or error}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is not TOML: {error}.") from None
+
+
+def to_toml(spec: RunSpec) -> str:
+    """The full spec as TOML; fields that are None are left out."""
+    values = {key: value for key, value in msgspec.structs.asdict(spec).items() if value is not None}
+    return tomli_w.dumps(values)
+
+
+def _expected(kind: Any) -> str:
+    """A field's type in words."""
+    info = msgspec.inspect.type_info(kind)
+    if isinstance(info, msgspec.inspect.UnionType):
+        info = next(option for option in info.types if not isinstance(option, msgspec.inspect.NoneType))
+    if isinstance(info, msgspec.inspect.LiteralType):
+        return "one of " + ", ".join(repr(value) for value in get_args(kind) or info.values)
+    if isinstance(info, msgspec.inspect.StrType):
+        return "text"
+    words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
+    bounds = [
+        f"{word} {getattr(info, name)}"
+        for name, word in words.items()
+        if getattr(info, name, None) is not None
+    ]
+    noun = "a whole number" if isinstance(info, msgspec.inspect.IntType) else "a number"
+    return f"{noun} {' and '.join(bounds)}".strip()

@@ -1,0 +1,1 @@
+"""The stateless evaluator: a genome goes in, an outcome comes out."""
