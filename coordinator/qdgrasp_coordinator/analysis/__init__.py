@@ -1,0 +1,1 @@
+"""What a finished or running run amounts to: coverage of a reference set, and a picture of its grasps."""
