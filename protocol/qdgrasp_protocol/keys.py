@@ -74,9 +74,9 @@ class Keys:
         """Anyone to recorder, query: recorded rows from a number on."""
         return f"{self.root}/rec/log"
 
-    def coordinator_token(self, epoch: int) -> str:
+    def coordinator_token(self, epoch: int | None = None) -> str:
         """Liveliness of a coordinator."""
-        return f"{self.root}/live/coord/{epoch}"
+        return f"{self.root}/live/coord/{'*' if epoch is None else epoch}"
 
     def worker_token(self, wid: str = "*") -> str:
         """Liveliness of a worker."""
@@ -100,8 +100,12 @@ class Keys:
         return f"{self.root}/meta"
 
 
-COORDINATOR_TOKENS = f"{ROOT}/*/live/coord/*"
-"""The coordinators of all jobs, for workers that serve whatever job there is."""
+class AnyJob(Keys):
+    """Patterns over the keys of all jobs, for workers that serve whatever job there is."""
+
+    def __init__(self) -> None:
+        self.job = "*"
+        self.root = f"{ROOT}/*"
 
 
 def job_of(key: str) -> str | None:

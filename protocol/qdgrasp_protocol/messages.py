@@ -105,6 +105,14 @@ class Control(Message, frozen=True, kw_only=True):
     drain: bool = False
 
 
+class Chunk(Message, frozen=True, kw_only=True):
+    """The answer to one query for a piece of a scene bundle."""
+
+    total: Annotated[int, Meta(ge=1, le=4096)]
+    """How many chunks the bundle has."""
+    data: bytes
+
+
 class Recordable(Message, frozen=True, kw_only=True):
     """Consecutive rows of a run in journal order, settled: to the recorder, and back at replay."""
 

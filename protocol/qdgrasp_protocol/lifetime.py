@@ -1,0 +1,72 @@
+"""How long a process lives: until its work is done, a signal comes, or whoever started it is gone.
+
+A service waits on an inbox; stopping puts one more thing into it. So no loop polls for signals, and a
+process ends within the time that its present piece of work takes.
+"""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from setproctitle import setproctitle
+
+SUPERVISED = "QDGRASP_SUPERVISED"
+"""Set for a process that lives only as long as the process at the other end of its standard input."""
+ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
+
+
+class Stop:
+    """Whether this process is asked to stop, and by what."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self._told: list[Callable[[], None]] = []
+
+    @property
+    def is_set(self) -> bool:
+        """A signal asked this process to stop."""
+        return self.signal is not None
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 128 plus the signal that ended the process: 130 for Ctrl-C, 143 for SIGTERM."""
+        return 0 if self.signal is None else 128 + self.signal
+
+    def tell(self, callback: Callable[[], None]) -> None:
+        """Call `callback` when the process is asked to stop. It runs in a signal handler: put and return."""
+        self._told.append(callback)
+
+    def set(self, number: int, _frame: FrameType | None = None) -> None:
+        """Ask this process to stop; the first reason stays."""
+        if self.signal is None:
+            self.signal = number
+        for callback in self._told:
+            callback()
+
+
+@contextmanager
+def lifetime(title: str) -> Iterator[Stop]:
+    """Name this process for `ps`, and turn SIGINT, SIGTERM and the end of its starter into a `Stop`."""
+    setproctitle(title)
+    stop = Stop()
+    before = {number: signal.signal(number, stop.set) for number in (signal.SIGINT, signal.SIGTERM)}
+    if os.environ.pop(SUPERVISED, None):
+        threading.Thread(target=_outlive_no_starter, name="starter", daemon=True).start()
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _outlive_no_starter() -> None:
+    """End this process once nobody holds the other end of its standard input."""
+    while os.read(0, 1024):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(ORPHAN_GRACE)  # what is left after it hangs in a call that never returns
+    os._exit(128 + signal.SIGTERM)

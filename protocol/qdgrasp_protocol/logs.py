@@ -1,0 +1,21 @@
+"""How a process speaks: sentences with fields on standard error; a person reads one, a machine the other."""
+
+import logging
+import sys
+
+import structlog
+
+
+def speak(role: str, *, level: int = logging.INFO) -> None:
+    """Send this process's log to standard error, each line marked with its role."""
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False),
+            structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty(), pad_event_to=0),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
+    )
+    structlog.contextvars.bind_contextvars(role=role)
