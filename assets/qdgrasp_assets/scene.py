@@ -55,7 +55,10 @@ class CarrierJoint(Struct, frozen=True, kw_only=True):
 
     name: str
     force: float
+    """What holds it in place [N or Nm]."""
     max_velocity: float
+    shake_force: float = 0.0
+    """What moves it in its shake [N or Nm]."""
     shake: str = ""
     """"z" or "x" for the joint that the translation or rotation shake moves, else empty."""
 

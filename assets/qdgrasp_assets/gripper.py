@@ -1,0 +1,234 @@
+"""Grippers: a URDF and one TOML that says how the hand grasps, read strictly."""
+
+import tomllib
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from qdgrasp_assets.carrier import CARRIERS
+from qdgrasp_assets.files import on_asset_path, searched
+from qdgrasp_assets.scene import FreeJoint, Joint, SceneGripper, Synergy
+from qdgrasp_assets.urdf import Urdf, UrdfJoint, read_urdf
+from qdgrasp_protocol.errors import AssetError, UnknownKey
+
+ON_ASSET_PATH = "asset://"
+
+
+class JointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[joints.NAME]`: one joint of the hand."""
+
+    open: float
+    """Position in the open posture [rad or m]."""
+    closed: float | None = None
+    """Target when the hand closes; without it the joint stays where it is."""
+    effort: float | None = None
+    """Motor force [N or Nm]; the URDF's by default."""
+    velocity: float | None = None
+    """Velocity limit [m/s or rad/s]; the URDF's by default."""
+    driven: bool = True
+    """False: never commanded, held by the simulator."""
+
+
+class SynergyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[[synergies]]`: joints that close together."""
+
+    name: str
+    joints: tuple[str, ...]
+
+
+class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[free_joints.NAME]`: a joint whose initial position is a gene."""
+
+    low: float
+    high: float
+
+
+class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a gripper's TOML says (docs/grippers.md)."""
+
+    urdf: str
+    """Relative to the TOML, or `asset://...` on the asset path."""
+    licence: str = "not stated"
+    base_link: str
+    approach_axis: tuple[float, float, float]
+    palm_offset: float
+    standoff: tuple[float, float]
+    finger_links: tuple[str, ...]
+    joints: dict[str, JointTable]
+    synergies: tuple[SynergyTable, ...] = ()
+    free_joints: dict[str, FreeJointTable] = {}
+    carrier_hold_force: float = 100.0
+    """Force that holds the carrier's other joints in `released` [N, Nm]."""
+
+
+NESTED = {"joints": JointTable, "synergies": SynergyTable, "free_joints": FreeJointTable}
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """A gripper's files, read and checked against each other."""
+
+    name: str
+    source: str
+    file: GripperFile
+    robot: Urdf
+    """The whole URDF; the hand is its sub-tree from `base_link`."""
+
+    def on_carrier(self, protocol: str) -> SceneGripper:
+        """The hand as an evaluation protocol carries it."""
+        file = self.file
+        carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
+        element, meshes = carried.urdf.bundled()
+        axis = np.array(file.approach_axis) / np.linalg.norm(file.approach_axis)
+        x, y, z = (float(value) for value in axis)
+        return SceneGripper(
+            name=self.name,
+            source=self.source,
+            licence=file.licence,
+            urdf=ET.tostring(element, encoding="unicode"),
+            meshes=meshes,
+            base_link=file.base_link,
+            carrier=carried.joints,
+            joints=tuple(self._joint(name, table) for name, table in file.joints.items()),
+            finger_links=file.finger_links,
+            synergies=tuple(Synergy(name=each.name, joints=each.joints) for each in file.synergies),
+            free_joints=tuple(
+                FreeJoint(name=name, low=each.low, high=each.high) for name, each in file.free_joints.items()
+            ),
+            approach_axis=(x, y, z),
+            palm_offset=file.palm_offset,
+            standoff=file.standoff,
+        )
+
+    def _joint(self, name: str, table: JointTable) -> Joint:
+        told = self.robot.joint(name)
+        assert told is not None  # noqa: S101  # `read_gripper` has checked it
+        return Joint(
+            name=name,
+            opened=table.open,
+            closed=table.open if table.closed is None else table.closed,
+            effort=told.effort if table.effort is None else table.effort,
+            velocity=told.velocity if table.velocity is None else table.velocity,
+            driven=table.driven,
+        )
+
+
+def read_gripper(path: Path, name: str, source: str) -> Gripper:
+    """Read a gripper's TOML and the URDF that it names.
+
+    Raises
+    ------
+    UnknownKey
+        The TOML has a key that no field has.
+    AssetError
+        A file is missing or cannot be read, a value is impossible, or the two do not fit each other.
+    """
+    file = _gripper_file(path)
+    robot = read_urdf(_urdf_path(path, file.urdf))
+    _check(path, file, robot)
+    return Gripper(name, source, file, robot)
+
+
+def _gripper_file(path: Path) -> GripperFile:
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise AssetError(f"'{path}' is not TOML: {error}.") from None
+    _check_keys(str(path), values, GripperFile)
+    for table, struct in NESTED.items():
+        inner = values.get(table, {})
+        for label, entry in inner.items() if isinstance(inner, dict) else enumerate(inner):
+            _check_keys(f"{path}: {table}.{label}", entry, struct)
+    try:
+        return msgspec.convert(values, GripperFile)
+    except msgspec.ValidationError as error:
+        raise AssetError(f"The gripper '{path}': {error}.") from None
+
+
+def _check_keys(where: str, values: Any, struct: Any) -> None:
+    known = [field.name for field in msgspec.structs.fields(struct)]
+    for key in values if isinstance(values, dict) else ():
+        if key not in known:
+            raise UnknownKey(where, key, known)
+
+
+def _urdf_path(toml: Path, name: str) -> Path:
+    if not name.startswith(ON_ASSET_PATH):
+        return toml.parent / name
+    found = on_asset_path(name.removeprefix(ON_ASSET_PATH))
+    if found is None:
+        raise AssetError(
+            f"The gripper '{toml.stem}' needs '{name.removeprefix(ON_ASSET_PATH)}' of the reference data, "
+            f"which is not there: {searched()}."
+        )
+    return found
+
+
+def _check(path: Path, file: GripperFile, robot: Urdf) -> None:
+    """Names exist, every joint that moves is told of, numbers are possible."""
+    _known(path, robot, "base_link", [file.base_link], robot.links)
+    hand = robot.subtree(file.base_link)
+    moving = {joint.name: joint for joint in hand.joints if joint.moves}
+    _known(path, robot, "finger_links", file.finger_links, hand.links)
+    _known(path, robot, "joints", file.joints, moving)
+    _known(path, robot, "free_joints", file.free_joints, file.joints)
+    for synergy in file.synergies:
+        _known(path, robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
+    for name in moving:
+        if name not in file.joints:
+            raise AssetError(
+                f"The gripper '{path}' says nothing about the joint '{name}' of '{robot.path}', which moves; "
+                f"add [joints.{name}] with its open and closed positions, or with driven = false."
+            )
+    for name, table in file.joints.items():
+        _check_joint(path, moving[name], table)
+    _check_numbers(path, file)
+
+
+def _known(path: Path, robot: Urdf, field: str, names: Any, known: Any) -> None:
+    for name in names:
+        if name not in known:
+            raise AssetError(
+                f"The gripper '{path}': {field} names '{name}', which '{robot.path}' does not have "
+                f"below its base link; it has {', '.join(sorted(known)) or 'none'}."
+            )
+
+
+def _check_joint(path: Path, joint: UrdfJoint, table: JointTable) -> None:
+    for label, position in (("open", table.open), ("closed", table.closed)):
+        limited = joint.lower < joint.upper and joint.kind != "continuous"
+        if position is not None and limited and not joint.lower - 1e-6 <= position <= joint.upper + 1e-6:
+            raise AssetError(
+                f"The gripper '{path}': joints.{joint.name}.{label} is {position:g}, outside the URDF's "
+                f"limits {joint.lower:g} to {joint.upper:g}."
+            )
+    for label, told, value in (
+        ("effort", table.effort, joint.effort),
+        ("velocity", table.velocity, joint.velocity),
+    ):
+        if table.driven and (value if told is None else told) <= 0:
+            raise AssetError(
+                f"The gripper '{path}': the {label} of the joint '{joint.name}' must be greater than 0; "
+                f"the URDF has {value:g}, so give {label} in [joints.{joint.name}]."
+            )
+
+
+def _check_numbers(path: Path, file: GripperFile) -> None:
+    low, high = file.standoff
+    if not 0 <= low <= high:
+        raise AssetError(
+            f"The gripper '{path}': standoff must be [least, greatest], 0 or more, got [{low:g}, {high:g}]."
+        )
+    if file.palm_offset < 0:
+        raise AssetError(f"The gripper '{path}': palm_offset must be 0 or more, got {file.palm_offset:g}.")
+    if not np.linalg.norm(file.approach_axis) > 0:
+        raise AssetError(f"The gripper '{path}': approach_axis must not be zero.")
+    if not file.finger_links:
+        raise AssetError(f"The gripper '{path}': finger_links must name at least one link.")

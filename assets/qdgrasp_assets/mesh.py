@@ -1,0 +1,204 @@
+"""Triangle meshes: what they measure, and reading them strictly from files."""
+
+import logging
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_protocol.errors import AssetError
+
+Floats = NDArray[np.float64]
+log = logging.getLogger(__name__)
+
+LARGEST = 2.0  # m: what a hand could grasp is smaller, so a larger mesh was drawn in millimetres
+FLATTEST = 1e-12  # m3: a closed mesh with less volume has no inside
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh; outward normals follow from counter-clockwise winding."""
+
+    vertices: Floats
+    """(v, 3) [m]."""
+    faces: NDArray[np.int64]
+    """(f, 3), indices of vertices."""
+
+    @property
+    def corners(self) -> Floats:
+        """(f, 3, 3) [m]: the corners of each triangle."""
+        corners: Floats = self.vertices[self.faces]
+        return corners
+
+    @property
+    def crosses(self) -> Floats:
+        """(f, 3) [m2]: twice the area of each triangle, along its normal."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        return np.cross(b - a, c - a)
+
+    @property
+    def areas(self) -> Floats:
+        """(f,) [m2]."""
+        areas: Floats = np.linalg.norm(self.crosses, axis=1) / 2
+        return areas
+
+    @property
+    def normals(self) -> Floats:
+        """(f, 3), unit; zeros for triangles without area."""
+        crosses = self.crosses
+        lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+        return np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Low and high corner of the axis-aligned bounding box [m]."""
+        used = self.vertices[np.unique(self.faces)]
+        return used.min(axis=0), used.max(axis=0)
+
+    @property
+    def extents(self) -> Floats:
+        """(3,) [m]: sides of the bounding box."""
+        low, high = self.bounds
+        return high - low
+
+    @property
+    def _cone_volumes(self) -> Floats:
+        """(f,) [m3]: signed volumes of the tetrahedra between the triangles and the origin."""
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        volumes: Floats = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
+        return volumes
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume [m3]; negative for a mesh that is inside out."""
+        return float(self._cone_volumes.sum())
+
+    @property
+    def centre_of_mass(self) -> Floats:
+        """(3,) [m]: of the enclosed volume, at uniform density."""
+        moments = self._cone_volumes[:, None] * self.corners.sum(axis=1) / 4
+        centre: Floats = moments.sum(axis=0) / self.volume
+        return centre
+
+    def moved(self, shift: Iterable[float]) -> "Mesh":
+        """The mesh shifted by (3,) [m]."""
+        return Mesh(self.vertices + np.array(tuple(shift)), self.faces)
+
+    def flipped(self) -> "Mesh":
+        """The mesh with every triangle wound the other way."""
+        return Mesh(self.vertices, self.faces[:, ::-1])
+
+
+def join(meshes: Iterable[Mesh]) -> Mesh:
+    """All triangles of several meshes as one."""
+    meshes = tuple(meshes)
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]),
+    )
+
+
+def read_solid(path: Path) -> Mesh:
+    """A closed surface from any mesh file that trimesh reads, in metres; one or several bodies.
+
+    A mesh that is inside out is turned, with a warning.
+
+    Raises
+    ------
+    AssetError
+        It is not there, unreadable, empty, in millimetres, not watertight, wound both ways or flat.
+    """
+    read = _read(path)
+    mesh = Mesh(np.asarray(read.vertices, dtype=np.float64), np.asarray(read.faces, dtype=np.int64))
+    if not len(mesh.faces):
+        raise AssetError(f"The mesh '{path}' is empty: it has no triangles.")
+    _check_size(path, mesh.extents)
+    if not read.is_watertight:
+        raise AssetError(
+            f"The mesh '{path}' is not watertight: it has edges with only one triangle, so it has no inside; "
+            "close its holes."
+        )
+    if not read.is_winding_consistent:
+        raise AssetError(f"The mesh '{path}' has triangles wound both ways; make all of them face outward.")
+    if abs(mesh.volume) < FLATTEST:
+        raise AssetError(f"The mesh '{path}' is flat: it encloses no volume.")
+    if mesh.volume < 0:
+        log.warning("The mesh '%s' is inside out (negative volume): its triangles were turned.", path)
+        return mesh.flipped()
+    return mesh
+
+
+def _read(path: Path):  # type: ignore[no-untyped-def]  # trimesh has no types that mypy can use here
+    """What trimesh makes of the file, duplicate vertices merged."""
+    if not path.is_file():
+        raise AssetError(f"No mesh file at '{path}'.")
+    if not path.stat().st_size:
+        raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
+    import trimesh
+
+    try:
+        return trimesh.load_mesh(path)
+    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
+        raise AssetError(f"The mesh '{path}' cannot be read: {type(error).__name__}: {error}.") from None
+
+
+def _check_size(path: Path, extents: Floats) -> None:
+    if not np.isfinite(extents).all():
+        raise AssetError(f"The mesh '{path}' has vertices that are not finite.")
+    if extents.max() > LARGEST:
+        size = " x ".join(f"{side:.4g}" for side in extents)
+        raise AssetError(
+            f"The mesh '{path}' is {size} m large, so it looks like millimetres; meshes are in metres: "
+            "scale it by 0.001."
+        )
+
+
+def read_parts(path: Path) -> tuple[Mesh, ...]:
+    """The convex parts in an OBJ file, one for each `o` group, vertices and triangles in the file's order.
+
+    Raises
+    ------
+    AssetError
+        It is not there or not such a file.
+    """
+    try:
+        return _parts(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise AssetError(f"No convex parts can be read at '{path}': {error.strerror or error}.") from None
+    except (ValueError, IndexError) as error:
+        raise AssetError(f"'{path}' is not an OBJ file of convex parts: {error}.") from None
+
+
+def _parts(text: str) -> tuple[Mesh, ...]:
+    vertices: list[list[float]] = []
+    groups: list[list[list[int]]] = []
+    for line in text.splitlines():
+        word, *values = line.split() or [""]
+        if word == "v":
+            vertices.append([float(value) for value in values[:3]])
+        elif word == "o" or (word == "f" and not groups):
+            groups.append([])
+        if word == "f":
+            groups[-1].append([int(value.split("/")[0]) - 1 for value in values[:3]])
+    return tuple(_part(np.array(vertices), np.array(group)) for group in groups if group)
+
+
+def _part(vertices: Floats, faces: NDArray[np.int64]) -> Mesh:
+    """A part with its own vertices only."""
+    used, local = np.unique(faces, return_inverse=True)
+    return Mesh(vertices[used], local.reshape(-1, 3))
+
+
+def parts_to_obj(parts: Iterable[Mesh]) -> bytes:
+    """An OBJ file of convex parts, one `o` group each, coordinates to the nanometre."""
+    lines: list[str] = []
+    first = 1
+    for number, part in enumerate(parts):
+        lines.append(f"o part_{number}")
+        lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in part.vertices]
+        lines += [f"f {a} {b} {c}" for a, b, c in part.faces + first]
+        first += len(part.vertices)
+    return ("\n".join(lines) + "\n").encode()

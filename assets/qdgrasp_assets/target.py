@@ -1,0 +1,65 @@
+"""Objects to grasp: a closed mesh with mass, friction and convex parts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj
+from qdgrasp_assets.scene import SceneObject, Vector
+
+LATERAL_FRICTION = 0.5
+ROLLING_FRICTION = 0.01
+SPINNING_FRICTION = 0.1
+
+
+@dataclass(frozen=True)
+class Target:
+    """An object with its geometry in the frame of its mesh file."""
+
+    name: str
+    source: str
+    licence: str
+    collision_source: str
+    mass: float
+    """[kg]."""
+    mesh: Mesh
+    parts: tuple[Mesh, ...]
+    """Convex parts that together fill the mesh."""
+    com_in_mesh: Floats
+    """(3,) [m]: centre of mass, mesh frame."""
+    lateral_friction: float = LATERAL_FRICTION
+
+    @property
+    def centred_mesh(self) -> Mesh:
+        """The mesh in the CoM frame, with float32 vertices as workers and pictures get it."""
+        moved = self.mesh.moved(-self.com_in_mesh)
+        return Mesh(moved.vertices.astype(np.float32).astype(np.float64), moved.faces)
+
+    @property
+    def centred_parts(self) -> tuple[Mesh, ...]:
+        """The convex parts in the CoM frame."""
+        return tuple(part.moved(-self.com_in_mesh) for part in self.parts)
+
+    def packed(self) -> SceneObject:
+        """The object as a scene holds it."""
+        mesh = self.centred_mesh
+        return SceneObject(
+            name=self.name,
+            source=self.source,
+            licence=self.licence,
+            collision_source=self.collision_source,
+            mass=self.mass,
+            lateral_friction=self.lateral_friction,
+            rolling_friction=ROLLING_FRICTION,
+            spinning_friction=SPINNING_FRICTION,
+            com_in_mesh=vector(self.com_in_mesh),
+            collision=parts_to_obj(self.centred_parts),
+            mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
+            mesh_faces=mesh.faces.astype("<u4").tobytes(),
+        )
+
+
+def vector(values: Floats) -> Vector:
+    """Three numbers as plain floats."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
