@@ -1,13 +1,36 @@
-"""Cells: the 1 cm voxels that hand positions are told apart by."""
+"""Cells: the cubes of 1 cm that positions are counted in.
+
+S_G, the paper's reference set, holds positions rounded to 1 cm. Everything that counts or keeps positions
+by cell (archive, coverage, progress, `info`) makes its cells here, so that all of them agree.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+PER_METRE = 100
+"""Cells in a metre: an edge is 1 cm, cell k reaches from k - 0.5 to k + 0.5 cm."""
+_REACH = 1 << 20
+"""`keys` tells cells apart whose components are smaller than this: positions within 10 km."""
+
 
 def cells(positions: ArrayLike) -> NDArray[np.int64]:
-    """Round positions (n, 3) [m] to whole centimetres (n, 3), half to even as S_G was rounded.
+    """The cell of each position.
 
-    A cell's edges are at k + 0.5 cm; float32 positions are widened first, so that every reader of a
-    journal finds the same cell.
+    Parameters
+    ----------
+    positions
+        (n, 3) [m].
+
+    Returns
+    -------
+    cells
+        (n, 3): `round(100 x)`, halves to even, computed in float64 as S_G was rounded.
     """
-    return np.rint(np.asarray(positions, dtype=np.float64) * 100.0).astype(np.int64)
+    return np.rint(np.asarray(positions, dtype=np.float64) * PER_METRE).astype(np.int64)
+
+
+def keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number per cell (n, 3), equal for equal cells only: (n,), for sets and for counting."""
+    shifted = cells + _REACH
+    packed: NDArray[np.int64] = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
+    return packed

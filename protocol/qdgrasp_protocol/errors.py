@@ -13,6 +13,7 @@
         * NoReply                nobody answered
     * MessageError           a message that is not of the protocol; counted and dropped
     * ReplayError            a journal that its own spec does not replay to
+    * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
 """
 
@@ -103,6 +104,26 @@ class MessageError(QdgraspError):
 
 class ReplayError(QdgraspError):
     """A journal that its own spec does not replay to."""
+
+
+class RecorderFellBack(QdgraspError):
+    """A recorder that no longer has the rows it reported durable, or has rows that were never sent.
+
+    Parameters
+    ----------
+    reported
+        How many rows it now reports durable.
+    durable
+        How many it reported before.
+    sent
+        How many rows there are at all.
+    """
+
+    def __init__(self, reported: int, durable: int, sent: int) -> None:
+        super().__init__(
+            f"The recorder reports {reported} durable rows, expected {durable} to {sent}: its disk was "
+            "restored or it serves another coordinator; the run is to be replayed from its journal."
+        )
 
 
 class EndedEarly(QdgraspError):

@@ -1,0 +1,286 @@
+"""The pipeline of one run: in which order its search is asked and told, and when its budget is spent.
+
+Results arrive in any order; the search hears them generation by generation, and the journal is that order:
+by generation, within it nominal rows by index. Pure state: whatever came in between, the rows that
+become final, and what the search is asked, are a function of the spec (DESIGN.md, section 4).
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.archive import Genomes
+from qdgrasp_coordinator.search import Search
+from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.tally import Tally, counted
+from qdgrasp_protocol.errors import ReplayError
+from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+from qdgrasp_protocol.spec import Overlaps
+
+
+@dataclass(frozen=True)
+class Generation:
+    """Rows of one generation that are to be evaluated."""
+
+    number: int
+    indices: NDArray[np.uint32]
+    """(n,): places in the generation."""
+    trials: NDArray[np.uint16]
+    """(n,): 0, nominal."""
+    genomes: Genomes
+    """(n, d)."""
+
+
+class Pipeline:
+    """Orders the asks and tells of one search.
+
+    Generation g is asked of the search at the moment when generation g - `generations_in_flight` has been
+    told, neither earlier nor later, so that a slow coordinator asks the same genomes as a fast one; `ask`
+    only hands out what is there.
+
+    Parameters
+    ----------
+    search
+        A search that nothing has been asked of.
+    shape
+        The shape of the run's rows.
+    evaluations
+        The budget: the run ends with the row that reaches it in journal order. Later rows of that
+        generation are not journalled, and that generation is not told.
+    overlaps
+        Whether overlaps count.
+    """
+
+    duplicates: int = 0
+    """Rows that came again, or after the end, and were ignored."""
+    strays: int = 0
+    """Rows that nobody asked for, and that were ignored."""
+
+    def __init__(
+        self,
+        search: Search,
+        shape: Shape,
+        evaluations: int,
+        overlaps: Overlaps,
+        generations_in_flight: int = 1,
+    ) -> None:
+        self.tally = Tally(evaluations, overlaps)
+        self._search = search
+        self._shape = shape
+        self._overlaps = overlaps
+        self._open: deque[_Slot] = deque()
+        self._asked = 0
+        self._cpu_seconds = 0.0
+        self._reasons: dict[tuple[int, int, int], str] = {}
+        for _ in range(generations_in_flight):
+            self._prepare()
+
+    @property
+    def finished(self) -> str | None:
+        """Why the run is over, in words; None while it is not."""
+        return self.tally.finished or (None if self._open else "the search has nothing left to ask")
+
+    def ask(self) -> Generation | None:
+        """The next rows to evaluate; None when there are none now, or the run is finished."""
+        for slot in self._open if self.finished is None else ():
+            if not slot.handed_out:
+                return slot.hand_out()
+        return None
+
+    def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> Stretch:
+        """Take evaluated rows, in any order, and give those that have just become final.
+
+        Parameters
+        ----------
+        rows
+            With keys, genomes and results; of any generations.
+        cpu_seconds
+            What they cost; given on with the next rows that become final.
+        failures
+            Why rows with `Outcome.ERROR` failed, by their place in `rows`.
+
+        Returns
+        -------
+        stretch
+            The next rows of the journal, perhaps none.
+        """
+        self._cpu_seconds += cpu_seconds
+        self._reasons |= _by_key(rows, failures)
+        for number in np.unique(rows["generation"]):
+            self._place(int(number), rows[rows["generation"] == number])
+        return self._advance()
+
+    def replay(self, rows: Rows) -> None:
+        """Take the next recorded rows of the journal as if they had just been evaluated.
+
+        Raises
+        ------
+        ReplayError
+            They are not the rows that this run asks: the journal is of another spec or another version.
+        """
+        while len(rows):
+            if self.finished is not None:
+                raise ReplayError(f"The journal goes on after its row {self.tally.rows}: {self.finished}.")
+            before = self.tally.rows
+            self._open[0].replay(rows)
+            self._advance()
+            rows = rows[self.tally.rows - before :]
+
+    def _place(self, number: int, rows: Rows) -> None:
+        """Put rows of one generation where they belong."""
+        if self.finished is not None or number < self._told:
+            self.duplicates += len(rows)
+        elif number < self._asked:
+            duplicates, strays = self._open[number - self._told].place(rows)
+            self.duplicates += duplicates
+            self.strays += strays
+        else:
+            self.strays += len(rows)
+
+    @property
+    def _told(self) -> int:
+        """How many generations have been told: the number of the oldest open one."""
+        return self._asked - len(self._open)
+
+    def _advance(self) -> Stretch:
+        """Make final what follows without a gap; tell and ask where a generation is complete."""
+        first = self.tally.rows
+        pieces = list(self._finals())
+        if not pieces:
+            return Stretch(first, self._shape.empty(0))
+        rows = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        cpu_seconds, self._cpu_seconds = self._cpu_seconds, 0.0
+        return Stretch(first, rows, cpu_seconds, self._failures(rows))
+
+    def _finals(self) -> Iterator[Rows]:
+        while self.finished is None and (rows := self._next_finals()) is not None:
+            yield rows
+
+    def _next_finals(self) -> Rows | None:
+        """The rows of the oldest generation that have become final; None when it has to wait."""
+        slot = self._open[0]
+        rows = self._within_budget(slot.arrived())
+        if not len(rows):
+            return None
+        slot.final += len(rows)
+        self.tally.count(rows)
+        if slot.final == len(slot.rows):
+            self.tally.end_generation()
+            self._close(slot)
+        return rows
+
+    def _within_budget(self, rows: Rows) -> Rows:
+        """Rows up to the one that reaches the budget."""
+        reached = np.flatnonzero(counted(rows, self._overlaps))
+        left = self.tally.left
+        return rows if len(reached) < left else rows[: reached[left - 1] + 1]
+
+    def _close(self, slot: "_Slot") -> None:
+        """Tell a complete generation, and ask the one that waited for it, unless the run is over."""
+        if self.finished is None:
+            self._search.tell(slot.number, slot.rows)
+            self._open.popleft()
+            self._prepare()
+
+    def _prepare(self) -> None:
+        """Ask the search for the next generation, unless the open ones are sure to spend the budget."""
+        needed = self.tally.left
+        if self._overlaps == "count":
+            needed -= sum(len(slot.rows) - slot.final for slot in self._open)
+        if needed <= 0:
+            return
+        genomes = self._search.ask(self._asked)
+        if len(genomes):
+            limit = needed if self._overlaps == "count" else len(genomes)
+            self._open.append(_Slot(self._asked, genomes, self._shape, limit))
+            self._asked += 1
+
+    def _failures(self, rows: Rows) -> tuple[Failure, ...]:
+        """The reasons of the error rows among final ones."""
+        return tuple(
+            Failure(row=int(place), reason=self._reasons.pop(_key(rows[place]), ""))
+            for place in np.flatnonzero(rows["outcome"] == Outcome.ERROR)
+        )
+
+
+class _Slot:
+    """One generation that is asked and not yet told.
+
+    Parameters
+    ----------
+    limit
+        How many of its rows are needed at most, from index 0 on.
+    """
+
+    handed_out: bool = False
+    final: int = 0
+    """How many of its rows are final."""
+
+    def __init__(self, number: int, genomes: Genomes, shape: Shape, limit: int) -> None:
+        self.number = number
+        self.rows = shape.empty(len(genomes))
+        self.rows["generation"] = number
+        self.rows["index"] = np.arange(len(genomes))
+        self.rows["genome"] = genomes
+        self._here = np.zeros(min(limit, len(genomes)), dtype=bool)
+
+    def hand_out(self) -> Generation:
+        """The rows that are still missing."""
+        self.handed_out = True
+        rows = self.rows[: len(self._here)][~self._here]
+        return Generation(self.number, rows["index"], rows["trial"], rows["genome"])
+
+    def place(self, rows: Rows) -> tuple[int, int]:
+        """Put rows in their places; gives how many were here already, and how many were not asked."""
+        asked = rows[(rows["index"] < len(self._here)) & (rows["trial"] == 0)]
+        index, first = np.unique(asked["index"], return_index=True)
+        new = first[~self._here[index]]
+        places = asked["index"][new]
+        self.rows[places] = asked[new]
+        self._here[places] = True
+        return len(asked) - len(new), len(rows) - len(asked)
+
+    def arrived(self) -> Rows:
+        """The rows behind the final ones, up to the first that is missing."""
+        waiting = self._here[self.final :]
+        n = len(waiting) if waiting.all() else int(waiting.argmin())
+        return self.rows[self.final : self.final + n]
+
+    def replay(self, rows: Rows) -> None:
+        """Take what belongs here of recorded rows that begin behind the final ones.
+
+        Raises
+        ------
+        ReplayError
+            Keys or genomes differ from those asked, in any bit.
+        """
+        stop = min(self.final + len(rows), len(self._here))
+        asked, recorded = self.rows[self.final : stop], rows[: stop - self.final]
+        for column in ("generation", "index", "trial", "genome"):
+            if asked[column].tobytes() != recorded[column].tobytes():
+                raise ReplayError(self._mismatch(asked, recorded, column))
+        asked[:] = recorded
+        self._here[self.final : stop] = True
+
+    def _mismatch(self, asked: Rows, recorded: Rows, column: str) -> str:
+        pairs = zip(asked[column], recorded[column], strict=True)
+        place = next(i for i, (one, other) in enumerate(pairs) if one.tobytes() != other.tobytes())
+        return (
+            f"The journal's {column} differs from what the spec asks in generation {self.number}, "
+            f"index {asked['index'][place]}: it was recorded by another spec or version of qdgrasp, "
+            "so this run cannot go on from it."
+        )
+
+
+def _key(row: np.void) -> tuple[int, int, int]:
+    return int(row["generation"]), int(row["index"]), int(row["trial"])
+
+
+def _by_key(rows: Rows, failures: Sequence[Failure]) -> dict[tuple[int, int, int], str]:
+    """The reasons of failures by the rows' keys."""
+    return {_key(rows[failure.row]): failure.reason for failure in failures}

@@ -1,0 +1,1 @@
+"""The searches: one module per family, each an implementation of `search.Search`."""

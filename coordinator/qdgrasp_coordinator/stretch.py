@@ -1,0 +1,58 @@
+"""A stretch of the journal: consecutive final rows of one run, with what is told beside them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.rows import Rows
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Rows of the journal from number `first` on."""
+
+    first: int
+    """The number of its first row; numbers count rows of the run from 0, in journal order."""
+    rows: Rows
+    cpu_seconds: float = 0.0
+    """What these rows cost on their workers; outside the digest, so it may be an estimate."""
+    failures: tuple[Failure, ...] = ()
+    """Why rows with `Outcome.ERROR` failed, by their place in `rows`."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def stop(self) -> int:
+        """The number behind its last row."""
+        return self.first + len(self.rows)
+
+    def part(self, first: int, stop: int) -> "Stretch":
+        """What of it has numbers from `first` up to `stop`; the cost goes by the share of rows."""
+        low, high = max(first - self.first, 0), min(stop, self.stop) - self.first
+        if (low, high) == (0, len(self)):
+            return self
+        failures = tuple(
+            Failure(row=failure.row - low, reason=failure.reason)
+            for failure in self.failures
+            if low <= failure.row < high
+        )
+        return Stretch(
+            self.first + low, self.rows[low:high], self.cpu_seconds * (high - low) / len(self), failures
+        )
+
+
+def joined(stretches: Sequence[Stretch]) -> Stretch:
+    """Stretches that follow each other, as one; at least one."""
+    if len(stretches) == 1:
+        return stretches[0]
+    first = stretches[0].first
+    failures = tuple(
+        Failure(row=stretch.first - first + failure.row, reason=failure.reason)
+        for stretch in stretches
+        for failure in stretch.failures
+    )
+    rows = np.concatenate([stretch.rows for stretch in stretches])
+    return Stretch(first, rows, sum(stretch.cpu_seconds for stretch in stretches), failures)
