@@ -10,6 +10,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import Enum
 
+import structlog
+
+from qdgrasp_protocol.errors import NoReply, Refused
+
+log = structlog.get_logger()
+
 
 class Channel(Enum):
     """How a message travels (PROTOCOL.md, keys)."""
@@ -43,13 +49,52 @@ class Query:
 
 SampleHandler = Callable[[Sample], None]
 QueryHandler = Callable[[Query], bytes]
-"""Answers a query; raising `Refused` becomes an error reply that carries the reason."""
+"""Answers a query.
+
+Raising `Refused` becomes an error reply that carries the reason, `NoReply` leaves the asker without an
+answer; anything else is a fault of ours: it is logged, and the asker is refused with the error's name.
+"""
 TokenHandler = Callable[[str, bool], None]
 """Told a key and whether its token is alive (True) or gone (False)."""
 
 
+class Declaration(AbstractContextManager[None]):
+    """Something a session declared: it holds from the call that made it until its context ends.
+
+    Parameters
+    ----------
+    undo
+        Takes it back; called once.
+    """
+
+    def __init__(self, undo: Callable[[], object] = lambda: None) -> None:
+        self.undo = undo
+        self.holds = True
+        """False from the moment the context ends: what still arrives then is not handed on."""
+
+    def __exit__(self, *_: object) -> None:
+        if self.holds:
+            self.holds = False
+            self.undo()
+
+
+def reason_of(error: Exception, key: str) -> str | None:
+    """What the asker is told of an error in a query handler; None: nothing, so that it gets no reply."""
+    if isinstance(error, NoReply):
+        return None
+    if isinstance(error, Refused):
+        return str(error)
+    log.error("a query was not answered", key=key, exc_info=error)
+    return f"internal error: {type(error).__name__}"
+
+
 class Bus(ABC):
-    """One session on the bus. A context manager: leaving it closes the session and all it declared."""
+    """One session on the bus. A context manager: leaving it closes the session and all it declared.
+
+    Keys are concrete; patterns may hold `*` (one chunk) and `**` (any number of chunks), which never match
+    a chunk that begins with `@`. Messages of one session on one channel arrive in the order they were put.
+    What a handler raises is logged. Every call on a closed session raises `BusError`.
+    """
 
     @abstractmethod
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
@@ -61,11 +106,11 @@ class Bus(ABC):
 
     @abstractmethod
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries on `pattern` until the context ends; what the handler raises is the answer."""
+        """Answer queries on `pattern` until the context ends, one at a time; see `QueryHandler`."""
 
     @abstractmethod
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
-        """Query `key` and return the first answer.
+        """Query `key` and return the first answer; where nobody answers on `key` it fails at once.
 
         Raises
         ------
@@ -81,11 +126,17 @@ class Bus(ABC):
 
     @abstractmethod
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of every token that matches `pattern`: those alive now, and then each change."""
+        """Hear of every token that matches `pattern`: those alive now, and then each change.
+
+        While the session is cut off, every token of others counts as gone.
+        """
 
     @abstractmethod
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear of each transport of this session that comes up (True) or goes down (False)."""
+        """Hear when this session is cut off from the bus (False) and when it is back (True).
+
+        A session that is itself the router is never cut off: a client that leaves it is no news here.
+        """
 
     @abstractmethod
     def close(self) -> None:

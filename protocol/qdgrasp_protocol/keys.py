@@ -119,3 +119,21 @@ def job_of(key: str) -> str | None:
 def last_chunk(key: str) -> str:
     """The chunk behind the last slash: a worker's id, an epoch, a digest."""
     return key.rsplit("/", 1)[-1]
+
+
+def matches(pattern: str, key: str) -> bool:
+    """Whether a key matches a pattern: `*` is one chunk, `**` any number, neither matches one with `@`."""
+    return _matches(pattern.split("/"), key.split("/"))
+
+
+def _matches(pattern: list[str], key: list[str]) -> bool:
+    if not pattern:
+        return not key
+    head, *rest = pattern
+    if head == "**":
+        return _matches(rest, key) or (
+            bool(key) and not key[0].startswith("@") and _matches(pattern, key[1:])
+        )
+    if not key or not (head == key[0] or (head == "*" and not key[0].startswith("@"))):
+        return False
+    return _matches(rest, key[1:])

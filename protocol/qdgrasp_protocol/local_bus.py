@@ -1,0 +1,220 @@
+"""The in-memory twin of the bus, with links that can be cut: for tests, and for jobs in one process.
+
+A message is delivered in the thread that puts it, before `put` returns, to subscribers in the order they
+subscribed: one thread that acts sees everything in one order. A query is answered in a thread of its own,
+so that its time-out holds.
+"""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import AbstractContextManager
+from typing import TypeVar
+
+import structlog
+
+from qdgrasp_protocol.bus import (
+    Bus,
+    Channel,
+    Declaration,
+    Query,
+    QueryHandler,
+    Sample,
+    SampleHandler,
+    TokenHandler,
+    reason_of,
+)
+from qdgrasp_protocol.errors import BusError, NoReply, Refused
+from qdgrasp_protocol.keys import matches
+
+log = structlog.get_logger()
+
+
+class Entry:
+    """Something a session declared on a pattern."""
+
+    def __init__(self, session: "LocalBus", pattern: str) -> None:
+        self.session = session
+        self.pattern = pattern
+
+
+E = TypeVar("E", bound=Entry)
+
+
+class Token(Entry):
+    """A session is alive under a key."""
+
+
+class Subscriber(Entry):
+    """A session hears messages."""
+
+    def __init__(self, session: "LocalBus", pattern: str, handler: SampleHandler) -> None:
+        super().__init__(session, pattern)
+        self.handler = handler
+
+
+class Answerer(Entry):
+    """A session answers queries, one after the other."""
+
+    def __init__(self, session: "LocalBus", pattern: str, handler: QueryHandler) -> None:
+        super().__init__(session, pattern)
+        self._handler = handler
+        self._turn = threading.Lock()
+
+    def reply(self, query: Query, answer: "Future[bytes]") -> None:
+        """Put the handler's answer, or why there is none, into `answer`."""
+        with self._turn:
+            try:
+                answer.set_result(self._handler(query))
+            except Exception as error:  # noqa: BLE001 - whatever it is, the asker is told and the log too
+                reason = reason_of(error, query.key)
+                answer.set_exception(NoReply(str(error)) if reason is None else Refused(reason))
+
+
+class Watcher(Entry):
+    """A session watches tokens; it knows which it was told are alive."""
+
+    def __init__(self, session: "LocalBus", pattern: str, handler: TokenHandler) -> None:
+        super().__init__(session, pattern)
+        self._handler = handler
+        self._alive: list[str] = []
+
+    def look(self, tokens: list[str]) -> None:
+        """Tell the handler what changed since the last look."""
+        before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
+        self._alive = now
+        for key in before:
+            if key not in now:
+                _call(self._handler, key, False)
+        for key in now:
+            if key not in before:
+                _call(self._handler, key, True)
+
+
+class LocalNetwork:
+    """What the sessions of one process share."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()  # held while tokens are told, so that all hear of them in one order
+        self._entries: list[Entry] = []
+
+    def session(self) -> "LocalBus":
+        """Open a session."""
+        return LocalBus(self)
+
+    def add(self, entry: Entry) -> Declaration:
+        """Let an entry hold until its declaration ends."""
+        with self._lock:
+            self._entries.append(entry)
+            self.tell_tokens()
+        return Declaration(lambda: self.remove(lambda other: other is entry))
+
+    def remove(self, is_over: Callable[[Entry], bool]) -> None:
+        """Let entries end."""
+        with self._lock:
+            self._entries = [entry for entry in self._entries if not is_over(entry)]
+            self.tell_tokens()
+
+    def visible(self, kind: type[E], session: "LocalBus") -> list[E]:
+        """The entries of a kind that `session` has a way to."""
+        with self._lock:
+            return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
+
+    def tell_tokens(self) -> None:
+        """Let every watcher look at the tokens it can see."""
+        with self._lock:
+            for watcher in [e for e in self._entries if isinstance(e, Watcher)]:
+                watcher.look([token.pattern for token in self.visible(Token, watcher.session)])
+
+
+class LocalBus(Bus):
+    """A session of a `LocalNetwork`."""
+
+    def __init__(self, network: LocalNetwork) -> None:
+        self._network = network
+        self._links: list[Callable[[bool], None]] = []
+        self._is_open = True
+        self._is_cut = False
+
+    def reaches(self, other: "LocalBus") -> bool:
+        """Whether there is a way between two sessions."""
+        return self is other or not (self._is_cut or other._is_cut)
+
+    def cut(self) -> None:
+        """Break the link to all others; what is put meanwhile is lost."""
+        self._set_cut(True)
+
+    def mend(self) -> None:
+        """Restore the link; tokens appear again."""
+        self._set_cut(False)
+
+    def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
+        """Deliver a message to everybody who hears it, before this call returns."""
+        self._check_open()
+        sample = Sample(key, bytes(payload), encoding)
+        for subscriber in self._network.visible(Subscriber, self):
+            if matches(subscriber.pattern, key):
+                _call(subscriber.handler, sample)
+
+    def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
+        """Hear messages."""
+        return self._declare(Subscriber(self, pattern, handler))
+
+    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
+        """Answer queries, one at a time."""
+        return self._declare(Answerer(self, pattern, handler))
+
+    def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
+        """Query a key."""
+        self._check_open()
+        answerers = [a for a in self._network.visible(Answerer, self) if matches(a.pattern, key)]
+        if not answerers:
+            raise NoReply(f"Nobody answers {key}.")
+        answer: Future[bytes] = Future()
+        arguments = (Query(key, parameters, bytes(payload)), answer)
+        threading.Thread(target=answerers[0].reply, args=arguments, daemon=True).start()
+        try:
+            return answer.result(timeout)
+        except TimeoutError:
+            raise NoReply(f"Nobody answered {key} within {timeout:g} s.") from None
+
+    def token(self, key: str) -> AbstractContextManager[None]:
+        """Be alive."""
+        return self._declare(Token(self, key))
+
+    def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
+        """Hear of tokens."""
+        return self._declare(Watcher(self, pattern, handler))
+
+    def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
+        """Hear of `cut` and `mend`."""
+        self._check_open()
+        self._links.append(handler)
+        return Declaration(lambda: self._links.remove(handler))
+
+    def close(self) -> None:
+        """Take back everything declared."""
+        self._is_open = False
+        self._network.remove(lambda entry: entry.session is self)
+
+    def _declare(self, entry: Entry) -> Declaration:
+        self._check_open()
+        return self._network.add(entry)
+
+    def _set_cut(self, cut: bool) -> None:
+        if cut != self._is_cut:
+            self._is_cut = cut
+            for handler in list(self._links):
+                _call(handler, not cut)
+            self._network.tell_tokens()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise BusError("The session is closed.")
+
+
+def _call(handler: Callable[..., None], *arguments: object) -> None:
+    try:
+        handler(*arguments)
+    except Exception:
+        log.exception("a callback failed")

@@ -1,0 +1,268 @@
+"""The bus over Eclipse Zenoh: the one module that imports zenoh."""
+
+import json
+import re
+import socket
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, Literal, TypeVar
+
+import structlog
+import zenoh
+
+from qdgrasp_protocol.bus import (
+    Bus,
+    Channel,
+    Declaration,
+    Query,
+    QueryHandler,
+    Sample,
+    SampleHandler,
+    TokenHandler,
+    reason_of,
+)
+from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
+from qdgrasp_protocol.lifetime import Stop
+
+log = structlog.get_logger()
+
+T = TypeVar("T")
+Mode = Literal["client", "router"]
+"""The coordinator's session is the router where none runs already; everybody else is a client of it."""
+
+HOME, PORT = "127.0.0.1", 7447
+ENDPOINT = re.compile(r"(tcp|tls|quic|udp|ws)/\S+:[0-9]{1,5}(#\S+)?|unixsock-stream/\S+")
+SLICE = 2.0  # seconds of one try to connect; between two of them a signal is heard
+REFUSAL = "text/plain;qdgrasp.refusal"
+"""The encoding of a refusal; an error reply without it is zenoh's own (a time-out)."""
+
+SETTINGS: dict[str, object] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "scouting/delay": 0,  # ms; nobody is scouted, so opening a router need not wait for answers
+    "transport/shared_memory/enabled": False,
+    "transport/unicast/max_sessions": 10_000,
+    "transport/link/tx/lease": 4000,  # ms
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
+}
+"""What every session is opened with (PROTOCOL.md, session configuration)."""
+RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
+QOS = {
+    Channel.DATA: (zenoh.CongestionControl.BLOCK, zenoh.Priority.DATA),
+    Channel.CONTROL: (zenoh.CongestionControl.BLOCK, zenoh.Priority.INTERACTIVE_HIGH),
+    Channel.MONITOR: (zenoh.CongestionControl.DROP, zenoh.Priority.DATA_LOW),
+}
+"""Congestion control and priority by channel. Links are streams: what is not dropped before is reliable."""
+
+
+def session_config(mode: Mode, endpoint: str, seconds: float = 0.0) -> zenoh.Config:
+    """The configuration of a session that listens on (router) or connects to (client) `endpoint`.
+
+    Parameters
+    ----------
+    seconds
+        How long opening the session may take; a connection lost later is sought for ever.
+
+    Raises
+    ------
+    EndpointError
+        The text is not an endpoint.
+    """
+    if not ENDPOINT.fullmatch(endpoint):
+        raise EndpointError(f"'{endpoint}' is not an endpoint; write it as tcp/HOST:PORT.")
+    verb = "listen" if mode == "router" else "connect"
+    config = zenoh.Config()
+    chosen = SETTINGS | {
+        "mode": mode,
+        f"{verb}/endpoints": [endpoint],
+        f"{verb}/timeout_ms": int(1000 * seconds),
+        f"{verb}/exit_on_failure": True,
+        f"{verb}/retry": RETRY,
+    }
+    for name, value in chosen.items():
+        config.insert_json5(name, json.dumps(value))
+    return config
+
+
+def free_endpoint() -> str:
+    """The default endpoint on loopback if its port is free, else one on a port that is free now."""
+    for port in (PORT, 0):
+        try:
+            with socket.create_server((HOME, port)) as server:
+                return f"tcp/{HOME}:{server.getsockname()[1]}"
+        except OSError:
+            continue
+    raise EndpointError(f"No port is free on {HOME}.")
+
+
+class ZenohBus(Bus):
+    """A zenoh session; opened by `connect` or `router`."""
+
+    def __init__(self, session: zenoh.Session, mode: Mode) -> None:
+        self._session = session
+        self._mode = mode
+        self._held: set[Declaration] = set()  # zenoh takes back a token that nobody holds
+
+    @classmethod
+    def connect(cls, endpoint: str, deadline_seconds: float, stop: Stop | None = None) -> "ZenohBus":
+        """Open a session at the router on `endpoint`, trying for `deadline_seconds`.
+
+        Raises
+        ------
+        EndpointError
+            Nothing answers there in time, or the text is not an endpoint.
+        SystemExit
+            `stop` was set while trying.
+        """
+        deadline = time.monotonic() + deadline_seconds
+        while True:
+            if stop is not None and stop.is_set:
+                raise SystemExit(stop.exit_code)
+            left = max(0.0, deadline - time.monotonic())
+            try:
+                return cls(zenoh.open(session_config("client", endpoint, min(left, SLICE))), "client")
+            except zenoh.ZError:
+                if time.monotonic() >= deadline:
+                    raise EndpointError(
+                        f"Nothing answers at {endpoint} after {deadline_seconds:g} s; is the coordinator or "
+                        "router running there, and the port reachable? Name another with --connect."
+                    ) from None
+
+    @classmethod
+    def router(cls, endpoint: str) -> "ZenohBus":
+        """Open a session that is the router itself and listens on `endpoint`.
+
+        Raises
+        ------
+        EndpointError
+            The port is taken, the address is not ours, or the text is not an endpoint.
+        """
+        try:
+            return cls(zenoh.open(session_config("router", endpoint)), "router")
+        except zenoh.ZError as error:
+            reason = re.search(r"([A-Z][a-z ]+) \(os error", str(error))
+            why = reason[1].lower() if reason else "zenoh refuses it"
+            raise EndpointError(
+                f"Cannot listen on {endpoint}: {why}; name another endpoint with --listen."
+            ) from None
+
+    def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
+        """Publish one message; a Publisher per key would leak memory on every join."""
+        congestion_control, priority = QOS[channel]
+        self._try(
+            lambda: self._session.put(
+                key, payload, encoding=encoding, congestion_control=congestion_control, priority=priority
+            )
+        )
+
+    def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
+        """Hear messages."""
+
+        def heard(sample: zenoh.Sample) -> None:
+            handler(Sample(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
+
+        return self._declare(heard, lambda call: self._session.declare_subscriber(pattern, call))
+
+    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
+        """Answer queries; a query that was let go unanswered ends its asker's waiting."""
+
+        def asked(query: zenoh.Query) -> None:
+            with query:
+                _reply(query, handler)
+
+        return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
+
+    def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
+        """Query a key."""
+        selector = f"{key}?{parameters}" if parameters else key
+        replies = self._try(
+            lambda: self._session.get(
+                selector, payload=payload, timeout=timeout, consolidation=zenoh.ConsolidationMode.NONE
+            )
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+            if reply.err is not None and str(reply.err.encoding) == REFUSAL:
+                raise Refused(reply.err.payload.to_bytes().decode(errors="replace"))
+        raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
+
+    def token(self, key: str) -> AbstractContextManager[None]:
+        """Be alive; the session declares it again whenever it is connected again."""
+        return self._hold(Declaration(), lambda: self._session.liveliness().declare_token(key))
+
+    def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
+        """Hear of tokens; a change that is none (an echo after a reconnection) is not told."""
+        alive: set[str] = set()
+
+        def changed(sample: zenoh.Sample) -> None:
+            key, is_alive = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+            if is_alive != (key in alive):
+                alive.symmetric_difference_update({key})
+                handler(key, is_alive)
+
+        return self._declare(
+            changed,
+            lambda call: self._session.liveliness().declare_subscriber(pattern, call, history=True),
+        )
+
+    def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
+        """Hear of the transport to the router."""
+        if self._mode == "router":
+            return Declaration()
+
+        def changed(event: zenoh.TransportEvent) -> None:
+            handler(event.kind == zenoh.SampleKind.PUT)
+
+        return self._declare(changed, self._session.info.declare_transport_events_listener)
+
+    def close(self) -> None:
+        """Close the session; a process that does not hangs at its end."""
+        self._held.clear()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
+        """Declare something whose callback logs what it raises and falls silent with the declaration."""
+        declaration = Declaration()
+
+        def call(argument: T) -> None:
+            try:
+                if declaration.holds:
+                    callback(argument)
+            except Exception:
+                log.exception("a callback failed")
+
+        return self._hold(declaration, lambda: declare(call))
+
+    def _hold(self, declaration: Declaration, declare: Callable[[], Any]) -> Declaration:
+        """Declare something, and hold it until it is taken back."""
+        entity = self._try(declare)
+
+        def undo() -> None:
+            self._held.discard(declaration)
+            entity.undeclare()
+
+        declaration.undo = undo
+        self._held.add(declaration)
+        return declaration
+
+    def _try(self, act: Callable[[], T]) -> T:
+        try:
+            return act()
+        except zenoh.ZError as error:
+            raise BusError(f"The bus refuses: {error}.") from None
+
+
+def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
+    """Answer one query, by the handler's answer or by why there is none."""
+    key = str(query.key_expr)
+    payload = query.payload.to_bytes() if query.payload is not None else b""
+    try:
+        answer = handler(Query(key, str(query.parameters), payload))
+    except Exception as error:  # noqa: BLE001 - whatever it is, the asker is told and the log too
+        reason = reason_of(error, key)
+        if reason is not None:
+            query.reply_err(reason.encode(), encoding=REFUSAL)
+    else:
+        query.reply(query.key_expr, answer)

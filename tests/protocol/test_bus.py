@@ -1,0 +1,365 @@
+"""What every bus does: one class of tests over all of them."""
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+from structlog.testing import capture_logs
+
+from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
+from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
+from qdgrasp_protocol.keys import matches
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+
+TEXT = "text/plain"
+SOON = 10.0  # seconds that anything may take that is to happen
+QUIET = 0.2  # seconds in which nothing is to happen
+
+Opener = Callable[[], Bus]
+
+
+@pytest.fixture(params=["local", "zenoh"])
+def opener(request: pytest.FixtureRequest) -> Iterator[Opener]:
+    """Opens sessions of one network, which are closed at the end."""
+    with ExitStack() as stack:
+        if request.param == "local":
+            network = LocalNetwork()
+            yield lambda: stack.enter_context(network.session())
+        else:
+            endpoint = free_endpoint()
+            stack.enter_context(ZenohBus.router(endpoint))
+            yield lambda: stack.enter_context(ZenohBus.connect(endpoint, SOON))
+
+
+@pytest.fixture
+def near(opener: Opener) -> Bus:
+    return opener()
+
+
+@pytest.fixture
+def far(opener: Opener) -> Bus:
+    return opener()
+
+
+class Ear:
+    """A handler that keeps what it hears."""
+
+    def __init__(self) -> None:
+        self._queue: SimpleQueue[Any] = SimpleQueue()
+
+    def __call__(self, *heard: Any) -> None:
+        self._queue.put(heard[0] if len(heard) == 1 else heard)
+
+    def next(self, timeout: float = SOON) -> Any:
+        return self._queue.get(timeout=timeout)
+
+    def hears_nothing(self) -> bool:
+        try:
+            self._queue.get(timeout=QUIET)
+        except Empty:
+            return True
+        return False
+
+
+def connected(near: Bus, far: Bus) -> None:
+    """Wait until what `far` declared is known to `near`: declarations of one session travel in order."""
+    ear = Ear()
+    with near.watch("test/here", ear), far.token("test/here"):
+        assert ear.next() == ("test/here", True)
+
+
+class TestBus:
+    def test_a_message_arrives_byte_for_byte_with_its_key_and_encoding(self, near: Bus, far: Bus) -> None:
+        ear, payload = Ear(), bytes(range(256)) * 5000
+        with far.subscribe("test/a", ear):
+            connected(near, far)
+            for channel in Channel:
+                near.put("test/a", payload, encoding="application/msgpack;qdgrasp.work.v1", channel=channel)
+                assert ear.next() == Sample("test/a", payload, "application/msgpack;qdgrasp.work.v1")
+
+    def test_a_session_hears_itself(self, near: Bus) -> None:
+        ear = Ear()
+        with near.subscribe("test/a", ear):
+            near.put("test/a", b"1", encoding=TEXT)
+            assert ear.next().payload == b"1"
+
+    def test_a_star_is_one_chunk_and_verbatim_chunks_match_only_themselves(self, near: Bus, far: Bus) -> None:
+        one, any_, verbatim = Ear(), Ear(), Ear()
+        with ExitStack() as stack:
+            stack.enter_context(far.subscribe("test/*", one))
+            stack.enter_context(far.subscribe("test/**", any_))
+            stack.enter_context(far.subscribe("test/@work/*", verbatim))
+            connected(near, far)
+            for key in ("test/@work/w", "test/@x", "test/a/b", "test/a"):
+                near.put(key, b"", encoding=TEXT)
+            assert verbatim.next().key == "test/@work/w"
+            assert one.next().key == "test/a"
+            assert [any_.next().key, any_.next().key] == ["test/a/b", "test/a"]
+
+    def test_many_messages_arrive_in_order(self, near: Bus, far: Bus) -> None:
+        ear, many = Ear(), 3000
+        with far.subscribe("test/a", ear):
+            connected(near, far)
+            for number in range(many):
+                near.put("test/a", number.to_bytes(4, "little"), encoding=TEXT)
+            heard = [int.from_bytes(ear.next().payload, "little") for _ in range(many)]
+        assert heard == list(range(many))
+
+    def test_who_unsubscribed_hears_nothing_more(self, near: Bus, far: Bus) -> None:
+        gone, still = Ear(), Ear()
+        with far.subscribe("test/a", still):
+            with far.subscribe("test/a", gone):
+                connected(near, far)
+            near.put("test/a", b"1", encoding=TEXT)
+            assert still.next().payload == b"1"
+            assert gone.hears_nothing()
+
+    def test_a_handler_that_raises_is_logged_and_hears_the_next_message(self, near: Bus) -> None:
+        ear = Ear()
+
+        def handler(sample: Sample) -> None:
+            ear(sample.payload)
+            raise ValueError("on purpose")
+
+        with capture_logs() as logs, near.subscribe("test/a", handler):
+            near.put("test/a", b"1", encoding=TEXT)
+            near.put("test/a", b"2", encoding=TEXT)
+            assert [ear.next(), ear.next()] == [b"1", b"2"]
+        assert logs[0]["event"] == "a callback failed"
+
+    def test_a_query_is_answered_with_what_its_handler_returns(self, near: Bus, far: Bus) -> None:
+        def answer(query: Query) -> bytes:
+            return f"{query.key} {query.parameters} ".encode() + query.payload
+
+        with far.answer("test/@asset/*", answer):
+            connected(near, far)
+            assert near.ask("test/@asset/x", b"\x00\xff", parameters="i=3") == b"test/@asset/x i=3 \x00\xff"
+            assert near.ask("test/@asset/y") == b"test/@asset/y  "
+
+    def test_a_refusal_carries_its_reason(self, near: Bus, far: Bus) -> None:
+        def refuse(query: Query) -> bytes:
+            raise Refused("no such scene: größer")
+
+        with far.answer("test/q", refuse):
+            connected(near, far)
+            with pytest.raises(Refused, match="no such scene: größer"):
+                near.ask("test/q")
+
+    def test_a_handler_that_fails_refuses_and_is_logged(self, near: Bus, far: Bus) -> None:
+        def fail(query: Query) -> bytes:
+            raise ZeroDivisionError
+
+        with far.answer("test/q", fail), capture_logs() as logs:
+            connected(near, far)
+            with pytest.raises(Refused, match="ZeroDivisionError"):
+                near.ask("test/q")
+        assert logs[0]["key"] == "test/q"
+
+    def test_a_handler_may_leave_a_query_without_a_reply(self, near: Bus, far: Bus) -> None:
+        def shrug(query: Query) -> bytes:
+            raise NoReply("busy")
+
+        with far.answer("test/q", shrug):
+            connected(near, far)
+            with pytest.raises(NoReply):
+                near.ask("test/q", timeout=SOON)
+
+    def test_asking_where_nobody_answers_gets_no_reply(self, near: Bus, far: Bus) -> None:
+        with pytest.raises(NoReply, match="test/nobody"):
+            near.ask("test/nobody", timeout=SOON)
+        with far.answer("test/q", lambda query: b""):
+            connected(near, far)
+            near.ask("test/q")
+        connected(near, far)
+        with pytest.raises(NoReply):
+            near.ask("test/q", timeout=SOON)
+
+    def test_an_answer_that_comes_too_late_is_no_reply(self, near: Bus, far: Bus) -> None:
+        asked_enough = threading.Event()
+
+        def slow(query: Query) -> bytes:
+            asked_enough.wait(SOON)
+            return b"late"
+
+        with far.answer("test/q", slow):
+            connected(near, far)
+            with pytest.raises(NoReply, match="test/q"):
+                near.ask("test/q", timeout=0.1)
+            asked_enough.set()
+
+    def test_tokens_declared_before_and_after_the_watch_are_seen_and_so_is_their_end(
+        self, near: Bus, far: Bus
+    ) -> None:
+        ear = Ear()
+        with far.token("test/live/early"):
+            connected(near, far)
+            with near.watch("test/live/*", ear):
+                assert ear.next() == ("test/live/early", True)
+                with far.token("test/live/late"):
+                    assert ear.next() == ("test/live/late", True)
+                assert ear.next() == ("test/live/late", False)
+        assert ear.hears_nothing()
+
+    def test_a_closed_session_has_no_tokens(self, near: Bus, far: Bus) -> None:
+        ear = Ear()
+        far.token("test/live/far")
+        with near.watch("test/live/**", ear):
+            assert ear.next() == ("test/live/far", True)
+            far.close()
+            assert ear.next() == ("test/live/far", False)
+
+    def test_closing_twice_is_allowed_and_a_closed_session_says_that_it_is(self, near: Bus) -> None:
+        declared = near.subscribe("test/a", Ear())
+        near.close()
+        near.close()
+        declared.__exit__(None, None, None)
+        for act in (
+            lambda: near.put("test/a", b"", encoding=TEXT),
+            lambda: near.ask("test/a"),
+            lambda: near.token("test/a"),
+            lambda: near.subscribe("test/a", Ear()),
+        ):
+            with pytest.raises(BusError):
+                act()
+
+
+class TestZenohBus:
+    def test_tokens_subscribers_and_links_come_back_with_the_router(self) -> None:
+        endpoint, links, tokens, heard = free_endpoint(), Ear(), Ear(), Ear()
+        with ExitStack() as stack:
+            router = stack.enter_context(ZenohBus.router(endpoint))
+            client = stack.enter_context(ZenohBus.connect(endpoint, SOON))
+            router.token("test/router")
+            client.token("test/client")
+            client.on_link(links)
+            client.watch("test/router", tokens)
+            client.subscribe("test/a", heard)
+            assert tokens.next() == ("test/router", True)
+            router.close()
+            assert links.next() is False
+            assert tokens.next() == ("test/router", False)
+            router = stack.enter_context(ZenohBus.router(endpoint))
+            assert links.next() is True
+            router.token("test/router")
+            assert tokens.next() == ("test/router", True)
+            seen = Ear()
+            router.watch("test/client", seen)
+            assert seen.next() == ("test/client", True)
+            router.put("test/a", b"again", encoding=TEXT)
+            assert heard.next().payload == b"again"
+
+    def test_a_client_that_leaves_is_no_news_of_the_routers_link(self) -> None:
+        links, tokens, endpoint = Ear(), Ear(), free_endpoint()
+        with ZenohBus.router(endpoint) as router, router.on_link(links), router.watch("test/*", tokens):
+            with ZenohBus.connect(endpoint, SOON) as client:
+                client.token("test/client")
+                assert tokens.next() == ("test/client", True)
+            assert tokens.next() == ("test/client", False)
+            assert links.hears_nothing()
+
+    def test_a_taken_port_is_one_sentence_that_names_the_endpoint(self) -> None:
+        endpoint = free_endpoint()
+        with ZenohBus.router(endpoint), pytest.raises(EndpointError) as caught:
+            ZenohBus.router(endpoint)
+        assert str(caught.value) == (
+            f"Cannot listen on {endpoint}: address already in use; name another endpoint with --listen."
+        )
+        assert caught.value.exit_code == 2
+
+    def test_a_router_that_is_not_there_is_named_when_the_deadline_is_over(self) -> None:
+        endpoint = free_endpoint()
+        with pytest.raises(EndpointError, match=f"Nothing answers at {endpoint} after 0.3 s"):
+            ZenohBus.connect(endpoint, 0.3)
+
+    def test_a_router_that_starts_late_is_found(self) -> None:
+        endpoint, found = free_endpoint(), Ear()
+
+        def connect() -> None:
+            with ZenohBus.connect(endpoint, SOON):
+                found(True)
+
+        seeker = threading.Thread(target=connect)
+        seeker.start()
+        with ZenohBus.router(endpoint):
+            assert found.next()
+            seeker.join(SOON)
+
+    def test_a_signal_ends_the_search_for_a_router(self) -> None:
+        stop = Stop()
+        stop.set(15)
+        with pytest.raises(SystemExit) as caught:
+            ZenohBus.connect(free_endpoint(), 3600.0, stop)
+        assert caught.value.code == 143
+
+    @pytest.mark.parametrize("text", ["", "7447", "localhost:7447", "tcp/localhost", "tcp/a b:1", "tpc/a:1"])
+    def test_text_that_is_no_endpoint_is_refused_with_how_to_write_one(self, text: str) -> None:
+        for opener in (ZenohBus.router, lambda text: ZenohBus.connect(text, 60.0)):
+            with pytest.raises(EndpointError, match="tcp/HOST:PORT"):
+                opener(text)
+
+    def test_a_free_endpoint_is_another_one_while_the_default_is_taken(self) -> None:
+        first = free_endpoint()
+        with ZenohBus.router(first):
+            assert free_endpoint() != first
+
+    def test_a_process_that_leaves_its_session_ends(self) -> None:
+        endpoint = free_endpoint()
+        code = (
+            "from qdgrasp_protocol.zenoh_bus import ZenohBus\n"
+            f"with ZenohBus.router({endpoint!r}) as router, ZenohBus.connect({endpoint!r}, 5) as bus:\n"
+            "    bus.token('test/a'); bus.subscribe('test/b', print); bus.answer('test/c', print)\n"
+            "    router.watch('test/*', print); bus.on_link(print)\n"
+            "    raise SystemExit(7)\n"
+        )
+        done = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)
+        assert done.returncode == 7
+
+
+class TestLocalBus:
+    def test_a_cut_link_loses_messages_and_tokens_and_mending_brings_tokens_back(self) -> None:
+        network = LocalNetwork()
+        near, far = network.session(), network.session()
+        messages, tokens, links = Ear(), Ear(), Ear()
+        near.subscribe("test/a", messages)
+        near.watch("test/*", tokens)
+        far.on_link(links)
+        far.answer("test/q", lambda query: b"here")
+        far.token("test/far")
+        assert tokens.next() == ("test/far", True)
+        far.cut()
+        far.put("test/a", b"lost", encoding=TEXT)
+        assert links.next() is False
+        assert tokens.next() == ("test/far", False)
+        with pytest.raises(NoReply):
+            near.ask("test/q")
+        far.mend()
+        far.put("test/a", b"heard", encoding=TEXT)
+        assert messages.next().payload == b"heard"
+        assert links.next() is True
+        assert tokens.next() == ("test/far", True)
+        assert near.ask("test/q") == b"here"
+
+    def test_a_message_is_delivered_before_put_returns(self) -> None:
+        bus, heard = LocalBus(LocalNetwork()), []
+        bus.subscribe("test/a", heard.append)
+        bus.put("test/a", b"1", encoding=TEXT)
+        assert heard == [Sample("test/a", b"1", TEXT)]
+
+
+CHUNKS = st.sampled_from(["a", "b", "@a", "@b"])
+PATTERNS = st.lists(CHUNKS | st.sampled_from(["*", "**"]), min_size=1, max_size=6).map("/".join)
+
+
+@given(PATTERNS, st.lists(CHUNKS, min_size=1, max_size=5).map("/".join))
+def test_keys_match_as_in_zenoh(pattern: str, key: str) -> None:
+    assert matches(pattern, key) == zenoh.KeyExpr.autocanonize(pattern).intersects(key)
