@@ -1,0 +1,69 @@
+"""`qdgrasp-coordinator`: the process that runs the search of a job."""
+
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import structlog
+import typer
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+
+from qdgrasp_coordinator import preparation
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.record import RecorderLink
+from qdgrasp_coordinator.service import CoordinatorService
+from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.keys import job_name
+from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.logs import speak
+from qdgrasp_protocol.spec import read_run_spec
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+log = structlog.get_logger()
+
+
+@app.command()
+def coordinator(
+    what: Annotated[Path, typer.Argument(metavar="SPEC.toml|DIR", help="A spec, or a run's folder.")],
+    listen: options.Listen = None,
+    connect: Annotated[
+        str | None, typer.Option(help="Endpoint of a router that runs already; default: embed one.")
+    ] = None,
+    job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's or file's.")] = None,
+    batch_size: options.BatchSize = None,
+) -> None:
+    """Run the search of a job: ask, dispatch to workers, settle, tell; a recorder keeps what is found.
+
+    Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with lifetime("qdgrasp-coordinator") as stop, ExitStack() as stack:
+        speak("coordinator")
+        folder = RunFolder.open(what) if what.is_dir() else None
+        if folder is not None:
+            spec, bundle = folder.spec, folder.bundle()
+            scene = folder.scene()
+        else:
+            spec = preparation.full_spec(read_run_spec(what), str(what))
+            scene, bundle = preparation.make_bundle(spec)
+        run = preparation.assignment(spec, scene, bundle)
+        name = job or (folder.job if folder else job_name(what.stem))
+        endpoint = listen or free_endpoint()
+        bus = stack.enter_context(ZenohBus.connect(connect, 30.0) if connect else ZenohBus.router(endpoint))
+        log.info("listening" if not connect else "connected", endpoint=connect or endpoint, job=name)
+        if folder is not None:
+            folder.write_endpoint(connect or endpoint)
+        record = RecorderLink(bus, name, run.shape)
+        CoordinatorService(bus, stop, job=name, assignment=run, record=record, batch_size=batch_size).run()
+    raise typer.Exit(stop.exit_code)
+
+
+def main() -> None:
+    """Entry point of `qdgrasp-coordinator`."""
+    run_command(app, "qdgrasp-coordinator")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""`qdgrasp coverage`: how much of a reference set a run has found."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import typer
+
+from qdgrasp_coordinator.analysis.coverage import coverage as coverage_of
+from qdgrasp_coordinator.analysis.reference import is_stand_in, read_reference
+from qdgrasp_coordinator.analysis.released import released_archive
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.journal import Journal
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.outcome import Outcome
+
+
+def coverage(
+    directory: options.RunDir,
+    reference: Annotated[Path | None, typer.Option(help="The reference set, an npz file.")] = None,
+    object_: Annotated[str | None, typer.Option("--object", help="The object's name in the set.")] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say how much of a reference set of graspable positions a run has found.
+
+    Counted are distinct success positions, rounded to 1 cm, that are in the set, over its size.
+
+    Example: qdgrasp coverage runs/demo --reference S_G_panda_2f.npz --object rubiks_cube
+    """
+    if reference is None or object_ is None:
+        raise InputError(f"{'--reference' if reference is None else '--object'} is missing; see --help.")
+    folder = RunFolder.open(directory)
+    stand_in = is_stand_in(folder.spec.object, object_)
+    entries = read_reference(reference, object_)
+    with folder.journal() as journal:
+        positions, fitness = _successes(journal)
+    found = coverage_of(positions, fitness, entries, released_archive(folder.scene()))
+    if as_json:
+        values = {**msgspec.to_builtins(found), "object": object_, "stand_in": stand_in}
+        typer.echo(json.dumps(values))
+        return
+    typer.echo(found.sentence + (" The run is on a stand-in for the scan." if stand_in else ""))
+
+
+def _successes(journal: Journal) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, 3) [m] and fitness (n,) of all successes, in journal order."""
+    found = [rows[rows["outcome"] >= Outcome.DROPPED] for rows in journal.blocks()]
+    rows = np.concatenate([journal.shape.empty(0), *found])
+    return rows["base_to_object"][:, :3], rows["fitness"]

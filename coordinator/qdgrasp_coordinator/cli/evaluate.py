@@ -1,0 +1,54 @@
+"""`qdgrasp evaluate`: score hand poses that somebody else has found."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.poses import read_poses, write_scores
+from qdgrasp_coordinator.progress import display
+from qdgrasp_coordinator.scoring import score
+from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.spec import run_spec
+
+
+def evaluate(
+    gripper: options.Gripper = None,
+    object_: options.Object = None,
+    poses: Annotated[Path | None, typer.Option(help="The poses: an npz file, see below.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Where the scores go: an npz file.")] = None,
+    mass: options.Mass = None,
+    friction: options.Friction = None,
+    protocol: options.ProtocolOption = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+) -> None:
+    """Score given hand poses, in the object's centre-of-mass frame.
+
+    The file holds base_position (n, 3) [m] and base_quaternion_xyzw (n, 4) of the hand's root link and,
+    where the hand has them, synergy (n,) and spread (n, 2) [rad]; -1 and NaN mean none. Written are
+    valid, touched, success (bool), fitness (uint8) and more, in the order that came.
+
+    Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
+    """
+    values = {
+        "gripper": gripper,
+        "object": object_,
+        "mass": mass,
+        "friction": friction,
+        "protocol": protocol,
+    }
+    if poses is None or out is None:
+        missing = "--poses" if poses is None else "--out"
+        raise typer.BadParameter(f"{missing} is missing: name an npz file.")
+    spec = run_spec({name: value for name, value in values.items() if value is not None}, "evaluate")
+    given = read_poses(poses)
+    team = Team(options.cores() if workers is None else workers, batch_size)
+    with lifetime("qdgrasp evaluate") as stop, display("evaluate", len(given)) as shown:
+        rows = score(spec, given, team, shown, stop)
+    if stop.is_set:
+        raise typer.Exit(stop.exit_code)
+    write_scores(out, rows)
+    typer.echo(f"{len(rows)} poses scored, written to {out}")

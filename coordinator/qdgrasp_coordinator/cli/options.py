@@ -1,0 +1,31 @@
+"""Options that several commands share."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
+Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file [m].")]
+Mass = Annotated[float | None, typer.Option(help="Mass of the object [kg]; needed for a mesh file.")]
+Friction = Annotated[float | None, typer.Option(help="Lateral friction of the object; default 0.5.")]
+ProtocolOption = Annotated[
+    str | None, typer.Option("--protocol", help="Evaluation protocol: paper or released; default paper.")
+]
+Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
+BatchSize = Annotated[
+    int | None, typer.Option("--batch-size", min=1, max=4096, help="Rows in a batch; default: measured.")
+]
+Listen = Annotated[
+    str | None,
+    typer.Option(help="Endpoint of the embedded router; default tcp/127.0.0.1:7447, or a free port."),
+]
+DiskWait = Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")]
+RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def cores() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,104 @@
+"""`qdgrasp run`: fill an archive of grasps."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from qdgrasp_coordinator import preparation
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.progress import Display, display
+from qdgrasp_coordinator.summary import summary
+from qdgrasp_coordinator.supervisor import Supervisor, Team
+from qdgrasp_protocol.errors import EndedEarly
+from qdgrasp_protocol.lifetime import Stop, lifetime
+from qdgrasp_protocol.spec import RunSpec, read_run_spec
+
+
+def run(
+    spec: Annotated[
+        Path | None, typer.Argument(metavar="[SPEC.toml]", help="A spec; flags replace what it says.")
+    ] = None,
+    gripper: options.Gripper = None,
+    object_: options.Object = None,
+    mass: options.Mass = None,
+    friction: options.Friction = None,
+    method: Annotated[str | None, typer.Option(help="Search method; default contact_me_scs.")] = None,
+    protocol: options.ProtocolOption = None,
+    evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the search; default 0.")] = None,
+    overlaps: Annotated[
+        str | None, typer.Option(help="count: an overlapping pose is an evaluation; redraw: it is not.")
+    ] = None,
+    population: Annotated[int | None, typer.Option(help="Genomes in a generation; default 500.")] = None,
+    mutation_sigma: Annotated[
+        float | None, typer.Option(help="Of the Gaussian mutation; default 0.1.")
+    ] = None,
+    mutation_probability: Annotated[float | None, typer.Option(help="Of each gene; default 0.3.")] = None,
+    generations_in_flight: Annotated[
+        int | None, typer.Option(help="Generations asked before the first is told; default 1.")
+    ] = None,
+    surface_seed: Annotated[int | None, typer.Option(help="Seed of the surface points; default 0.")] = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    listen: options.Listen = None,
+    job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
+    disk_wait: options.DiskWait = 60.0,
+) -> None:
+    """Fill an archive of grasps: a coordinator, a recorder and workers on this machine.
+
+    Example: qdgrasp run --gripper panda --object mug --evaluations 10000 --seed 1
+    """
+    flags = {
+        "gripper": gripper,
+        "object": object_,
+        "mass": mass,
+        "friction": friction,
+        "method": method,
+        "protocol": protocol,
+        "evaluations": evaluations,
+        "seed": seed,
+        "overlaps": overlaps,
+        "population": population,
+        "mutation_sigma": mutation_sigma,
+        "mutation_probability": mutation_probability,
+        "generations_in_flight": generations_in_flight,
+        "surface_seed": surface_seed,
+    }
+    asked = preparation.full_spec(_merged(spec, flags), str(spec) if spec else "run")
+    team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
+    start(asked, out or Path("runs") / preparation.default_name(asked), team, job)
+
+
+def start(spec: RunSpec, out: Path, team: Team, job: str | None = None) -> None:
+    """Begin a run in a new folder and carry it out."""
+    with lifetime("qdgrasp run") as stop, display(out.name, spec.evaluations) as shown:
+        RunFolder.check_free(out)
+        shown.say(f"building the scene of {spec.gripper} and {spec.object}")
+        _, bundle = preparation.make_bundle(spec)
+        folder = RunFolder.create(out, spec, bundle, job=job)
+        carry_out(folder, team, shown, stop)
+    finish(folder, stop.exit_code)
+
+
+def carry_out(folder: RunFolder, team: Team, shown: Display, stop: Stop) -> None:
+    """Carry a run out; what ends it early names the command that goes on."""
+    try:
+        Supervisor(folder, team, shown, stop).run()
+    except EndedEarly as error:
+        raise EndedEarly(f"{error} `qdgrasp resume {folder.path}` goes on where it stopped.") from None
+
+
+def finish(folder: RunFolder, exit_code: int) -> None:
+    """Print what was found, and end as the signal asks."""
+    if exit_code:
+        typer.echo(f"Stopped; `qdgrasp resume {folder.path}` goes on where it stopped.", err=True)
+        raise typer.Exit(exit_code)
+    typer.echo(summary(folder).words)
+
+
+def _merged(spec: Path | None, flags: dict[str, Any]) -> dict[str, Any]:
+    values = read_run_spec(spec) if spec else {}
+    return values | {name: value for name, value in flags.items() if value is not None}

@@ -1,0 +1,155 @@
+"""The processes that a command starts and watches together.
+
+A crew is a context manager: leaving it ends every process that is still there, by pid. Should the command
+itself be killed, each member sees its standard input end and stops by itself (`lifetime`).
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from qdgrasp_protocol.lifetime import SUPERVISED
+
+GRACE = 2.0  # seconds that a process may take to stop before it is killed
+BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
+STEADY = 30.0  # seconds of life after which the next death starts from the first back-off again
+
+
+@dataclass
+class Member:
+    """One process of a crew."""
+
+    name: str
+    arguments: list[str]
+    log: Path
+    process: subprocess.Popen[bytes]
+    started: float
+    restarts: int = 0
+    restart_at: float | None = None
+
+
+@dataclass(frozen=True)
+class Death:
+    """A member of the crew ended."""
+
+    name: str
+    exit_code: int
+    """Negative: the signal that killed it."""
+
+    @property
+    def words(self) -> str:
+        """How it ended, for a person."""
+        if self.exit_code < 0:
+            return f"was killed by {signal.Signals(-self.exit_code).name}"
+        return f"ended with exit code {self.exit_code}"
+
+
+def back_off(restarts: int) -> float:
+    """Seconds to wait before the next start of a member that was restarted `restarts` times in a row."""
+    return float(min(BACK_OFF_FIRST * 2**restarts, BACK_OFF_LAST))
+
+
+class Crew:
+    """Processes by name, each with a log file in `logs`."""
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self._members: dict[str, Member] = {}
+
+    def hire(self, name: str, module: str, arguments: Iterable[str]) -> None:
+        """Start `python -m module arguments` as the member `name`."""
+        self._logs.mkdir(parents=True, exist_ok=True)
+        command = [sys.executable, "-m", module, *arguments]
+        log = self._logs / f"{name}.log"
+        self._members[name] = Member(name, command, log, _start(command, log), time.monotonic())
+
+    def deaths(self) -> list[Death]:
+        """The members that ended since the last look, and are not to be started again yet."""
+        found = []
+        for member in self._members.values():
+            code = member.process.poll()
+            if code is not None and member.restart_at is None:
+                member.restart_at = float("inf")
+                found.append(Death(member.name, code))
+        return found
+
+    def restart_later(self, name: str, now: float) -> float:
+        """Start a dead member again after its back-off; returns the seconds until then."""
+        member = self._members[name]
+        if now - member.started > STEADY:
+            member.restarts = 0
+        pause = back_off(member.restarts)
+        member.restarts += 1
+        member.restart_at = now + pause
+        return pause
+
+    def restart_due(self, now: float) -> None:
+        """Start the dead members whose back-off is over."""
+        for member in self._members.values():
+            if member.restart_at is not None and member.restart_at <= now:
+                member.process, member.started = _start(member.arguments, member.log), now
+                member.restart_at = None
+
+    def last_words(self, name: str) -> str:
+        """The last line that a member wrote to its log."""
+        try:
+            lines = self._members[name].log.read_text(errors="replace").splitlines()
+        except OSError:
+            return ""
+        return next((line for line in reversed(lines) if line.strip()), "")
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """The process of a member."""
+        return self._members[name].process
+
+    def pids(self) -> dict[str, int]:
+        """The process ids of the members that live."""
+        return {m.name: m.process.pid for m in self._members.values() if m.process.poll() is None}
+
+    def dismiss(self) -> None:
+        """End every member: politely, then, after `GRACE` seconds, by force."""
+        alive = [member.process for member in self._members.values() if member.process.poll() is None]
+        for process in alive:
+            process.terminate()
+        deadline = time.monotonic() + GRACE
+        for process in alive:
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        for member in self._members.values():
+            _close(member.process.stdin)
+
+    def __enter__(self) -> "Crew":
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self.dismiss()
+
+
+def _start(command: list[str], log: Path) -> subprocess.Popen[bytes]:
+    """Start a process that lives only as long as we do, in a session of its own, so that Ctrl-C is ours."""
+    with log.open("ab") as file:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=file,
+            stderr=file,
+            start_new_session=True,
+            env={**os.environ, SUPERVISED: "1"},
+        )
+
+
+def _close(pipe: IO[bytes] | None) -> None:
+    if pipe is not None:
+        pipe.close()

@@ -1,0 +1,31 @@
+"""Which workers may serve one job: those whose results have the same bits (DESIGN.md, 4.4)."""
+
+from collections.abc import Mapping
+
+from qdgrasp_protocol.errors import Refused
+
+
+class PlatformDiffers(Refused):
+    """A worker's platform is not the one that the job's rows come from."""
+
+    def __init__(self, job: Mapping[str, str], worker: Mapping[str, str]) -> None:
+        names = sorted({*job, *worker})
+        differences = [
+            f"{name} {worker.get(name, 'absent')[:24]} instead of {job.get(name, 'absent')[:24]}"
+            for name in names
+            if job.get(name) != worker.get(name)
+        ]
+        super().__init__(f"its platform differs: {', '.join(differences)}.")
+
+
+def admit(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[str, str]:
+    """The platform of the job once this worker has joined: the first worker sets it.
+
+    Raises
+    ------
+    PlatformDiffers
+        Another platform was there first; what differs is named.
+    """
+    if job and dict(job) != dict(worker):
+        raise PlatformDiffers(job, worker)
+    return dict(worker)

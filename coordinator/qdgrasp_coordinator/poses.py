@@ -1,0 +1,141 @@
+"""Hand poses that come from outside, and the scores that go back."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
+
+NO_SYNERGY = -1
+"""The label of a pose without a synergy: all fingers close."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses of a hand's root link in the object's centre-of-mass frame."""
+
+    positions: NDArray[np.float64]
+    """(n, 3) [m]."""
+    quaternions: NDArray[np.float64]
+    """(n, 4), xyzw, of any length but zero."""
+    synergies: NDArray[np.int64]
+    """(n,) labels; -1: none."""
+    spreads: NDArray[np.float64]
+    """(n, k) positions of the free joints [rad]; NaN: the open posture."""
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def genomes(self, scene: Scene) -> NDArray[np.float32]:
+        """The genomes of the prior `given` (assets, `layout`): the pose, then synergy and free joints."""
+        unit = self.quaternions / np.linalg.norm(self.quaternions, axis=1, keepdims=True)
+        columns = [self.positions, unit]
+        if scene.gripper.synergies:
+            columns.append(self._labels(len(scene.gripper.synergies))[:, None])
+        if free := scene.gripper.free_joints:
+            columns.append(self._free(scene, len(free)))
+        return np.hstack(columns).astype(np.float32)
+
+    def _labels(self, known: int) -> NDArray[np.float64]:
+        wrong = self.synergies[(self.synergies < NO_SYNERGY) | (self.synergies >= known)]
+        if len(wrong):
+            raise InputError(f"synergy must be -1 (none) or 0 to {known - 1} for this hand, got {wrong[0]}.")
+        return self.synergies.astype(np.float64)
+
+    def _free(self, scene: Scene, count: int) -> NDArray[np.float64]:
+        opened = {joint.name: joint.opened for joint in scene.gripper.joints}
+        default = np.array([opened[joint.name] for joint in scene.gripper.free_joints])
+        given = np.full((len(self), count), np.nan)
+        given[:, : self.spreads.shape[1]] = self.spreads[:, :count]
+        return np.where(np.isnan(given), default, given)
+
+
+def read_poses(path: Path) -> Poses:
+    """The poses in an npz file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, lacks an array, or holds one of the wrong shape or with impossible numbers.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except OSError as error:
+        raise InputError(f"No poses can be read at '{path}': {error.strerror or error}.") from None
+    except (ValueError, AttributeError, EOFError) as error:
+        raise InputError(f"{path} is not an npz file of plain arrays: {error}.") from None
+    positions = _array(arrays, "base_position", 3, path)
+    quaternions = _array(arrays, "base_quaternion_xyzw", 4, path)
+    n = len(positions)
+    if len(quaternions) != n:
+        raise InputError(f"{path}: base_position has {n} rows, base_quaternion_xyzw {len(quaternions)}.")
+    if n == 0:
+        raise InputError(f"{path} holds no poses.")
+    if (np.linalg.norm(quaternions, axis=1) < 1e-6).any():
+        raise InputError(f"{path}: base_quaternion_xyzw holds a quaternion of length zero.")
+    synergies = np.asarray(arrays.get("synergy", np.full(n, NO_SYNERGY)))
+    spreads = np.asarray(arrays.get("spread", np.full((n, 2), np.nan)), dtype=np.float64)
+    if synergies.shape != (n,) or spreads.ndim != 2 or len(spreads) != n:
+        raise InputError(f"{path}: synergy must be of shape ({n},) and spread of shape ({n}, 2).")
+    synergies = np.nan_to_num(synergies.astype(np.float64), nan=NO_SYNERGY).astype(np.int64)
+    return Poses(positions, quaternions, synergies, spreads)
+
+
+def write_scores(path: Path, rows: Rows) -> None:
+    """Write scores beside each other, in the order of the poses; a half-written file never appears.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.part")
+    try:
+        with partial.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **scores(rows))
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise InputError(f"No scores can be written to '{path}': {error.strerror or error}.") from None
+
+
+def scores(rows: Rows) -> dict[str, NDArray[np.generic]]:
+    """Scored rows as arrays by name.
+
+    valid, touched, success: (n,) bool; fitness: (n,) uint8, false and 0 for overlaps; outcome: (n,) uint8
+    (`Outcome`); base_position (n, 3) and base_quaternion_xyzw (n, 4) as simulated, float32; joints (n, j)
+    after closing; contacts (n,) finger links in contact; penetration (n,) [m].
+    """
+    outcome = rows["outcome"]
+    return {
+        "valid": outcome >= Outcome.MISSED,
+        "touched": outcome >= Outcome.BRUSHED,
+        "success": outcome >= Outcome.DROPPED,
+        "fitness": rows["fitness"].astype(np.uint8),
+        "outcome": outcome,
+        "base_position": rows["base_to_object"][:, :3],
+        "base_quaternion_xyzw": rows["base_to_object"][:, 3:],
+        "joints": rows["joints"],
+        "contacts": rows["contacts"],
+        "penetration": rows["penetration"],
+    }
+
+
+def _array(
+    arrays: Mapping[str, NDArray[np.generic]], name: str, width: int, path: Path
+) -> NDArray[np.float64]:
+    if name not in arrays:
+        raise InputError(f"{path} has no array '{name}'; it has {', '.join(sorted(arrays)) or 'none'}.")
+    array = arrays[name]
+    if array.ndim != 2 or array.shape[1] != width or array.dtype.kind not in "fiu":
+        raise InputError(f"{path}: {name} must be numbers of shape (n, {width}), got {array.shape}.")
+    if not np.isfinite(array).all():
+        raise InputError(f"{path}: {name} holds a number that is not finite.")
+    return array.astype(np.float64)

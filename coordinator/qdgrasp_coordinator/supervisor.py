@@ -1,0 +1,169 @@
+"""One machine: a coordinator, a recorder and workers on loopback, started and watched together.
+
+The same processes, commands and messages as on many machines; there is no second code path.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+
+from qdgrasp_coordinator.crew import Crew, Death
+from qdgrasp_coordinator.figures import Figures, from_json
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.progress import Display
+from qdgrasp_protocol.bus import Bus, Sample
+from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError, MessageError
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.lifetime import Stop
+
+LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
+PORT_TRIES = 3
+"""How many free ports are tried when somebody else is quicker; one named by the user is tried once."""
+
+
+@dataclass(frozen=True)
+class Team:
+    """How a run is carried out on this machine; no result depends on it."""
+
+    workers: int
+    batch_size: int | None = None
+    """Rows in a batch; None: measured."""
+    listen: str | None = None
+    """Endpoint of the embedded router; None: the default port if it is free, else a free one."""
+    disk_wait: float = 60.0
+    """Seconds that a full disk is waited for."""
+
+
+class Supervisor:
+    """Starts a run's processes, shows its progress, and ends them with it."""
+
+    def __init__(self, folder: RunFolder, team: Team, display: Display, stop: Stop) -> None:
+        self._folder = folder
+        self._team = team
+        self._display = display
+        self._stop = stop
+        self._news: SimpleQueue[Sample | None] = SimpleQueue()
+
+    def run(self) -> None:
+        """Carry the run out to its end.
+
+        Raises
+        ------
+        EndedEarly
+            The coordinator died; `qdgrasp resume` goes on.
+        InputError
+            A process ended with a sentence that names bad input or environment.
+        """
+        self._stop.tell(lambda: self._news.put(None))
+        for attempt in range(PORT_TRIES):
+            endpoint = self._team.listen or free_endpoint()
+            try:
+                return self._run_on(endpoint)
+            except PortTaken:
+                if self._team.listen or attempt == PORT_TRIES - 1:
+                    raise
+        return None
+
+    def _run_on(self, endpoint: str) -> None:
+        with ExitStack() as stack:
+            crew = stack.enter_context(Crew(self._folder.logs))
+            watch = Watch(crew, self._display)
+            self._hire_coordinator(crew, endpoint)
+            self._await(lambda: self._folder.endpoint == endpoint, watch)
+            if self._stop.is_set or watch.is_done:
+                return
+            self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
+            self._hire_recorder(crew, endpoint)
+            for number in range(self._team.workers):
+                self._hire_worker(crew, endpoint, number)
+            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0))
+            stack.enter_context(self._listen(bus))
+            self._await(lambda: watch.is_done, watch)
+
+    def _hire_coordinator(self, crew: Crew, endpoint: str) -> None:
+        self._folder.forget_endpoint()
+        arguments = [str(self._folder.path), "--listen", endpoint]
+        if self._team.batch_size:
+            arguments += ["--batch-size", str(self._team.batch_size)]
+        crew.hire("coordinator", "qdgrasp_coordinator.cli.coordinator", arguments)
+
+    def _hire_recorder(self, crew: Crew, endpoint: str) -> None:
+        arguments = ["--connect", endpoint, "--job", self._folder.job, "--out", str(self._folder.path)]
+        arguments += ["--disk-wait", str(self._team.disk_wait)]
+        crew.hire("recorder", "qdgrasp_coordinator.cli.recorder", arguments)
+
+    def _hire_worker(self, crew: Crew, endpoint: str, number: int) -> None:
+        arguments = ["--connect", endpoint, "--job", self._folder.job]
+        crew.hire(f"worker-{number}", "qdgrasp_worker.cli", arguments)
+
+    def _listen(self, bus: Bus) -> ExitStack:
+        stack = ExitStack()
+        stack.enter_context(bus.subscribe(Keys(self._folder.job).stat("run/*"), self._news.put))
+        return stack
+
+    def _await(self, condition: Callable[[], bool], watch: "Watch") -> None:
+        """Look after the processes and show what they report until the condition holds or a signal comes."""
+        while not (condition() or self._stop.is_set or watch.is_done):
+            watch.look(time.monotonic())
+            try:
+                self._show(self._news.get(timeout=LOOK_INTERVAL))
+            except Empty:
+                continue
+
+    def _show(self, news: Sample | None) -> None:
+        if news is None:
+            return
+        try:
+            figures: Figures = from_json(news.payload)
+        except MessageError:
+            return
+        self._display.show(figures)
+
+
+class PortTaken(EndpointError):
+    """Somebody else listens on the port."""
+
+
+class Watch:
+    """Decides what a death in the crew means."""
+
+    def __init__(self, crew: Crew, display: Display) -> None:
+        self._crew = crew
+        self._display = display
+        self.is_done = False
+        """The coordinator ended with its run complete."""
+
+    def look(self, now: float) -> None:
+        """Take note of deaths, and start again what can be."""
+        for death in self._crew.deaths():
+            if death.name == "coordinator":
+                self._coordinator_died(death)
+            elif not self.is_done:
+                self._member_died(death, now)
+        self._crew.restart_due(now)
+
+    def _coordinator_died(self, death: Death) -> None:
+        if death.exit_code == 0:
+            self.is_done = True
+            return
+        words = self._crew.last_words("coordinator")
+        if death.exit_code == InputError.exit_code:
+            raise (PortTaken if "listen" in words else InputError)(_sentence(words))
+        raise EndedEarly(f"The coordinator {death.words}: {_sentence(words)}")
+
+    def _member_died(self, death: Death, now: float) -> None:
+        """A worker or the recorder died: bad input ends the run, anything else is started again."""
+        if death.exit_code == InputError.exit_code:
+            raise InputError(_sentence(self._crew.last_words(death.name)))
+        pause = self._crew.restart_later(death.name, now)
+        self._display.say(f"{death.name} {death.words}; it is started again in {pause:.1f} s")
+
+
+def _sentence(words: str) -> str:
+    """A member's last words without the name of its command in front."""
+    head, _, tail = words.partition(": ")
+    return tail if head.startswith("qdgrasp-") else words

@@ -1,0 +1,84 @@
+"""Processes that are started and watched together."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from qdgrasp_coordinator.crew import BACK_OFF_LAST, Crew, Death, back_off
+from qdgrasp_protocol.lifetime import SUPERVISED
+
+
+@pytest.fixture
+def crew(tmp_path):
+    with Crew(tmp_path / "logs") as crew:
+        yield crew
+
+
+def test_a_death_is_told_once_with_its_exit_code(crew):
+    crew.hire("sleeper", "timeit", ["-n1", "-r1", "import os; os._exit(3)"])
+    crew.process("sleeper").wait(30)
+    assert crew.deaths() == [Death("sleeper", 3)]
+    assert crew.deaths() == []
+
+
+def test_a_killed_member_is_started_again_when_its_back_off_is_over(crew):
+    crew.hire("sleeper", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
+    crew.process("sleeper").kill()
+    crew.process("sleeper").wait(30)
+    (death,) = crew.deaths()
+    assert death.words == "was killed by SIGKILL"
+    pause = crew.restart_later("sleeper", now=100.0)
+    crew.restart_due(100.0 + pause - 0.01)
+    assert crew.pids() == {}
+    crew.restart_due(100.0 + pause)
+    assert set(crew.pids()) == {"sleeper"}
+
+
+def test_back_off_grows_to_a_limit():
+    pauses = [back_off(n) for n in range(12)]
+    assert pauses == sorted(pauses)
+    assert pauses[-1] == BACK_OFF_LAST
+
+
+def test_leaving_ends_everybody_by_force_if_need_be(tmp_path):
+    stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); time.sleep(600)"
+    with Crew(tmp_path) as crew:
+        crew.hire("stubborn", "timeit", ["-n1", "-r1", stubborn])
+        process = crew.process("stubborn")
+    assert process.poll() is not None
+
+
+def test_the_last_words_of_a_member_are_the_last_line_of_its_log(crew):
+    crew.hire(
+        "talker", "timeit", ["-n1", "-r1", "import os; os.write(1, b'first\\nlast\\n\\n'); os._exit(2)"]
+    )
+    crew.process("talker").wait(30)
+    assert crew.last_words("talker") == "last"
+
+
+ORPHAN = """
+from qdgrasp_protocol.lifetime import lifetime
+from queue import SimpleQueue
+inbox = SimpleQueue()
+with lifetime("orphan") as stop:
+    stop.tell(lambda: inbox.put(None))
+    print("ready", flush=True)
+    inbox.get()
+raise SystemExit(stop.exit_code)
+"""
+
+
+def test_a_supervised_process_ends_when_its_starter_is_gone():
+    process = subprocess.Popen(
+        [sys.executable, "-c", ORPHAN],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, SUPERVISED: "1"},
+    )
+    assert process.stdout.readline() == b"ready\n"
+    process.stdin.close()
+    assert process.wait(30) == 128 + signal.SIGTERM
+    process.stdout.close()

@@ -1,0 +1,108 @@
+"""Bad input: one clear sentence, exit code 2, nothing lost or half-written."""
+
+import socket
+from pathlib import Path
+
+import pytest
+import trimesh
+from tests.system.commands import SMALL
+
+RUN = ("run", "--gripper", "panda", "--object", "tennis_ball", "--evaluations", "10", "--out", "out")
+
+
+def sentence(done) -> str:
+    """The one sentence that a refused command wrote."""
+    assert done.code == 2, (done.code, done.err)
+    assert done.out == ""
+    assert "Traceback" not in done.err
+    lines = [line for line in done.err.splitlines() if line.startswith("qdgrasp: ")]
+    assert len(lines) == 1, done.err
+    return lines[0]
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (("--gripper", "pandas"), ["gripper", "pandas", "panda"]),
+        (("--object", "tenis_ball"), ["object", "tenis_ball", "tennis_ball"]),
+        (("--method", "contact_me_scss"), ["method", "contact_me_scss", "approach_rand"]),
+        (("--protocol", "strict"), ["protocol", "strict", "paper", "released"]),
+        (("--evaluations", "-5"), ["evaluations", "-5", "at least 1"]),
+        (("--population", "0"), ["population", "at least 1"]),
+        (("--object", "nowhere/part.stl", "--mass", "1"), ["nowhere/part.stl"]),
+    ],
+)
+def test_a_wrong_flag_is_named_with_what_exists(qdgrasp, flags, words):
+    said = sentence(qdgrasp(*RUN, *flags))
+    for word in words:
+        assert word in said
+    assert not (qdgrasp.home / "out").exists()
+
+
+def test_a_missing_gripper_or_object_is_asked_for(qdgrasp):
+    assert "--object" in sentence(qdgrasp("run", "--gripper", "panda"))
+    assert "--gripper" in sentence(qdgrasp("run", "--object", "mug"))
+
+
+def test_a_misspelt_key_in_a_spec_is_named(qdgrasp):
+    spec = qdgrasp.home / "spec.toml"
+    spec.write_text('gripper = "panda"\nobject = "mug"\nevaluation = 10\n')
+    said = sentence(qdgrasp("run", spec))
+    assert "'evaluation'" in said
+    assert "evaluations" in said
+
+
+def mesh_file(home: Path, scale: float = 1.0) -> Path:
+    path = home / "part.stl"
+    trimesh.creation.box(extents=(0.05 * scale, 0.06 * scale, 0.07 * scale)).export(path)
+    return path
+
+
+def test_a_mesh_file_needs_a_mass(qdgrasp):
+    part = mesh_file(qdgrasp.home)
+    assert "--mass" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part))
+
+
+def test_a_mesh_in_millimetres_is_recognised(qdgrasp):
+    part = mesh_file(qdgrasp.home, 1000.0)
+    assert "millimetre" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part, "--mass", "0.3"))
+
+
+@pytest.mark.parametrize("content", [b"", b"this is no mesh", b"solid nothing\nendsolid nothing\n"])
+def test_an_empty_or_unreadable_mesh_is_refused(qdgrasp, content):
+    part = qdgrasp.home / "part.stl"
+    part.write_bytes(content)
+    assert "part.stl" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part, "--mass", "0.3"))
+
+
+def test_a_folder_that_holds_other_files_is_left_alone(qdgrasp):
+    out = qdgrasp.home / "out"
+    out.mkdir()
+    (out / "thesis.tex").write_text("years of work")
+    assert "out" in sentence(qdgrasp(*RUN))
+    assert (out / "thesis.tex").read_text() == "years of work"
+    assert len(list(out.iterdir())) == 1
+
+
+def test_a_folder_that_holds_a_run_names_resume(qdgrasp, reference):
+    said = sentence(qdgrasp(*RUN[:-1], reference[0]))
+    assert "qdgrasp resume" in said
+    assert qdgrasp.digest(reference[0]) == reference[1]
+
+
+@pytest.mark.parametrize("command", ["info", "digest", "resume"])
+def test_a_folder_without_a_run_is_refused(qdgrasp, command):
+    assert "run" in sentence(qdgrasp(command, "nowhere"))
+    (qdgrasp.home / "empty").mkdir()
+    assert "run" in sentence(qdgrasp(command, "empty"))
+
+
+def test_a_port_that_is_taken_is_named(qdgrasp):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        assert endpoint in sentence(qdgrasp("run", *SMALL, "--listen", endpoint, "--out", "out"))
+
+
+def test_a_reference_set_without_the_object_names_those_it_has(qdgrasp, reference):
+    done = qdgrasp("coverage", reference[0], "--reference", "nowhere.npz", "--object", "tennis_ball")
+    assert "nowhere.npz" in sentence(done)

@@ -1,0 +1,92 @@
+"""One command fills an archive through coordinator, workers and recorder."""
+
+from pathlib import Path
+
+import pytest
+from tests.system.commands import SMALL
+
+from qdgrasp_protocol.spec import read_run_spec
+
+
+def test_a_run_ends_with_exactly_its_budget_and_says_what_it_found(reference):
+    folder, _, info = reference
+    assert info["complete"]
+    assert info["evaluations"] == info["rows"] == 240
+    assert info["successes"] >= info["grasps"] >= info["robust"]
+    assert info["overlaps"] > 0
+    assert 0 < info["cells"] <= info["successes"]
+    assert info["errors"] == 0
+    assert info["cpu_seconds"] > 0
+    assert (folder / "run.sqlite").is_file()
+
+
+def test_the_spec_in_a_run_folder_repeats_the_run(qdgrasp, reference):
+    folder, digest, _ = reference
+    done = qdgrasp("run", folder / "spec.toml", "--workers", 2, "--out", "again")
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("again") == digest
+    assert read_run_spec(qdgrasp.home / "again" / "spec.toml") == read_run_spec(folder / "spec.toml")
+
+
+@pytest.mark.parametrize(("workers", "batch_size"), [(2, 7), (3, 25)])
+def test_neither_workers_nor_batches_change_the_digest(qdgrasp, reference, workers, batch_size):
+    options = ("--workers", workers, "--batch-size", batch_size, "--out", "run")
+    done = qdgrasp("run", *SMALL, "--evaluations", 240, *options)
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("run") == reference[1]
+
+
+def test_another_seed_gives_another_digest(qdgrasp, reference):
+    done = qdgrasp("run", *SMALL, "--evaluations", 240, "--seed", 1, "--out", "run")
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("run") != reference[1]
+
+
+def test_an_extended_run_is_the_longer_run(qdgrasp, reference):
+    qdgrasp("run", *SMALL, "--evaluations", 100, "--out", "run")
+    done = qdgrasp("resume", "run", "--evaluations", 240)
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("run") == reference[1]
+
+
+def test_resuming_a_finished_run_does_nothing_and_says_so(qdgrasp, reference):
+    done = qdgrasp("resume", reference[0])
+    assert done.code == 0
+    assert "is finished" in done.out
+    assert qdgrasp.digest(reference[0]) == reference[1]
+
+
+def test_redrawn_overlaps_are_rows_but_no_evaluations(qdgrasp):
+    done = qdgrasp(
+        "run",
+        *SMALL,
+        "--method",
+        "approach_rand",
+        "--overlaps",
+        "redraw",
+        "--evaluations",
+        50,
+        "--out",
+        "run",
+    )
+    assert done.code == 0, done.err
+    info = qdgrasp.info("run")
+    assert info["evaluations"] == 50
+    assert info["rows"] == info["proposals"] == 50 + info["overlaps"]
+    assert info["overlaps"] > 0
+
+
+def test_commands_that_print_json_print_nothing_else(qdgrasp, reference):
+    done = qdgrasp("info", reference[0], "--json")
+    wanted = (
+        "gripper object method protocol seed evaluations rows proposals overlaps successes grasps robust "
+        "cells errors cpu_seconds wall_seconds complete"
+    )
+    assert set(wanted.split()) <= set(done.json)
+    assert done.err == ""
+
+
+def test_a_run_folder_is_named_after_what_it_holds(qdgrasp):
+    done = qdgrasp("run", *SMALL, "--evaluations", 1, "--seed", 3)
+    assert done.code == 0, done.err
+    assert (Path(qdgrasp.home) / "runs" / "panda-tennis_ball-contact_me_scs-s3" / "run.sqlite").is_file()

@@ -1,0 +1,65 @@
+"""`qdgrasp-worker`: one process that evaluates for the jobs on a bus."""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import structlog
+import typer
+
+from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.logs import speak
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+log = structlog.get_logger()
+
+
+@app.command()
+def worker(
+    connect: Annotated[str, typer.Option(help="Endpoint of the router.")] = "tcp/127.0.0.1:7447",
+    job: Annotated[str | None, typer.Option(help="Serve this job only; default: every job there is.")] = None,
+    cache: Annotated[Path | None, typer.Option(help="Where scenes are kept between runs.")] = None,
+    wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
+    self_test: Annotated[
+        bool, typer.Option("--self-test", help="Evaluate the probe set, print the platform as JSON, and end.")
+    ] = False,
+) -> None:
+    """Evaluate grasps for the jobs on a bus, with one simulator on one core.
+
+    Example: qdgrasp-worker --connect tcp/head-node:7447
+    """
+    with lifetime("qdgrasp-worker") as stop:
+        for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(threads, "1")
+        from qdgrasp_worker.platform import platform  # after the threads are limited
+
+        if self_test:
+            typer.echo(json.dumps(platform()))
+            return
+        speak("worker")
+        from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+        from qdgrasp_worker.library import Library
+        from qdgrasp_worker.service import WorkerService
+
+        with ZenohBus.connect(connect, wait) as bus:
+            library = Library(cache or _cache())
+            WorkerService(bus, stop, job=job, platform=platform(), library=library).run()
+        log.info("stopped")
+    raise typer.Exit(stop.exit_code)
+
+
+def _cache() -> Path:
+    root = os.environ.get("QDGRASP_CACHE") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(root).expanduser() / "qdgrasp" / "scenes"
+
+
+def main() -> None:
+    """Entry point of `qdgrasp-worker`."""
+    run_command(app, "qdgrasp-worker")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,285 @@
+"""The worker on the bus: join, evaluate, answer.
+
+One thread does everything; callbacks of the bus only fill its inbox. A worker has no state but caches:
+whatever it loses is evaluated again elsewhere, with the same bytes.
+"""
+
+import os
+import random
+import secrets
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+
+import numpy as np
+import structlog
+
+from qdgrasp_assets.scene import unpack_scene
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.bus import Bus, Sample
+from qdgrasp_protocol.errors import MessageError, NoReply, Refused
+from qdgrasp_protocol.keys import AnyJob, Keys, job_of, last_chunk
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.messages import VERSION, Control, Failure, Join, Joined, Message, Result, Work
+from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
+from qdgrasp_worker.desk import Desk
+from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.library import Library
+from qdgrasp_worker.worlds import Worlds
+
+log = structlog.get_logger()
+
+CREDIT = 2
+"""Batches outstanding at a worker: one in work, one waiting."""
+SLICE = 16
+"""Rows evaluated between two looks at the inbox; evaluation is pure, so slicing changes nothing."""
+RETRY_FIRST, RETRY_LAST = 0.05, 2.0  # seconds between tries to join, jittered
+WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
+
+
+@dataclass(frozen=True)
+class Coordinator:
+    """A coordinator's token appeared or vanished."""
+
+    key: str
+    alive: bool
+
+
+@dataclass(frozen=True)
+class Link:
+    """A transport of this session came up or went down."""
+
+    up: bool
+
+
+@dataclass
+class Appointment:
+    """A job at this worker: its desk, and when to try to join next."""
+
+    desk: Desk
+    join_at: float | None = None
+    patience: float = RETRY_FIRST
+    alive: bool = True
+
+
+class RefusedByJob(Refused):
+    """The only job this worker was meant for does not take it."""
+
+    exit_code = 2
+
+
+class WorkerService:
+    """Serves the jobs on a bus until it is asked to stop.
+
+    Parameters
+    ----------
+    bus
+        An open session.
+    job
+        The only job to serve; None: every job there is.
+    platform
+        What decides the bits of this worker's results (DESIGN.md, 4.4).
+    library
+        Where scenes come from.
+    """
+
+    def __init__(
+        self, bus: Bus, stop: Stop, *, job: str | None, platform: dict[str, str], library: Library
+    ) -> None:
+        self.wid = secrets.token_hex(16)
+        self._bus = bus
+        self._stop = stop
+        self._only = job
+        self._platform = platform
+        self._library = library
+        self._worlds = Worlds()
+        self._jobs: dict[str, Appointment] = {}
+        self._tokens = ExitStack()
+        self._inbox: SimpleQueue[Sample | Coordinator | Link | None] = SimpleQueue()
+
+    def run(self) -> None:
+        """Serve until asked to stop."""
+        keys = Keys(self._only) if self._only else AnyJob()
+        self._stop.tell(lambda: self._inbox.put(None))
+        with ExitStack() as stack:
+            stack.enter_context(self._worlds)
+            stack.enter_context(self._tokens)
+            stack.enter_context(self._bus.subscribe(keys.work(self.wid), self._inbox.put))
+            stack.enter_context(self._bus.subscribe(keys.ctl(self.wid), self._inbox.put))
+            stack.enter_context(self._bus.on_link(lambda up: self._inbox.put(Link(up))))
+            stack.enter_context(self._bus.watch(keys.coordinator_token(), self._met))
+            while not self._stop.is_set:
+                self._hear(self._patience())
+                self._join_due()
+                for appointment in list(self._jobs.values()):
+                    self._serve(appointment)
+
+    def _met(self, key: str, alive: bool) -> None:
+        self._inbox.put(Coordinator(key, alive))
+
+    def _patience(self) -> float | None:
+        """Seconds to wait for the inbox: none while there is work, else until the next try to join."""
+        if any(job.desk.next() for job in self._jobs.values()):
+            return 0.0
+        due = [job.join_at for job in self._jobs.values() if job.join_at is not None and job.alive]
+        return max(0.0, min(due) - time.monotonic()) if due else None
+
+    def _hear(self, patience: float | None) -> None:
+        """Take everything out of the inbox, waiting at most `patience` seconds for the first."""
+        try:
+            self._take(self._inbox.get(timeout=patience))
+            while True:
+                self._take(self._inbox.get_nowait())
+        except Empty:
+            return
+
+    def _take(self, event: Sample | Coordinator | Link | None) -> None:
+        match event:
+            case Coordinator(key, alive):
+                self._meet(job_of(key), int(last_chunk(key)), alive)
+            case Link(up) if up:
+                for appointment in self._jobs.values():
+                    self._join_soon(appointment)
+            case Sample():
+                self._read(event)
+
+    def _meet(self, job: str | None, epoch: int, alive: bool) -> None:
+        """Note that a job's coordinator is there, or is gone."""
+        if job is None:
+            return
+        appointment = self._jobs.get(job) or self._open(job)
+        if alive and epoch >= appointment.desk.epoch:
+            appointment.alive = True
+            self._join_soon(appointment)
+        elif not alive and epoch >= appointment.desk.epoch:
+            appointment.alive = False
+
+    def _open(self, job: str) -> Appointment:
+        appointment = self._jobs[job] = Appointment(Desk(job))
+        self._tokens.enter_context(self._bus.token(Keys(job).worker_token(self.wid)))
+        return appointment
+
+    def _join_soon(self, appointment: Appointment) -> None:
+        appointment.patience = RETRY_FIRST
+        appointment.join_at = time.monotonic()
+
+    def _read(self, sample: Sample) -> None:
+        appointment = self._jobs.get(job_of(sample.key) or "")
+        if appointment is None:
+            return
+        desk = appointment.desk
+        try:
+            if sample.encoding == codec.encoding(Work):
+                desk.accept(codec.decode(sample.payload, Work))
+            elif sample.encoding == codec.encoding(Control):
+                desk.control(codec.decode(sample.payload, Control))
+        except MessageError as error:
+            log.warning("dropped a message that is not of the protocol", key=sample.key, reason=str(error))
+
+    def _join_due(self) -> None:
+        now = time.monotonic()
+        for appointment in self._jobs.values():
+            if appointment.alive and appointment.join_at is not None and appointment.join_at <= now:
+                self._join(appointment)
+
+    def _join(self, appointment: Appointment) -> None:
+        """Ask to serve a job; try again later when nobody answers."""
+        desk = appointment.desk
+        keys = Keys(desk.job)
+        request = Join(
+            versions=[VERSION],
+            wid=self.wid,
+            number=desk.joining(),
+            credit=CREDIT,
+            held=desk.held,
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            platform=self._platform,
+        )
+        try:
+            answer = codec.decode(self._bus.ask(keys.join, codec.encode(request), timeout=2.0), Joined)
+        except (NoReply, MessageError):
+            appointment.join_at = time.monotonic() + appointment.patience * random.uniform(0.5, 1.5)  # noqa: S311
+            appointment.patience = min(2 * appointment.patience, RETRY_LAST)
+            return
+        except Refused as refusal:
+            appointment.join_at = None
+            log.error("a job does not take this worker", job=desk.job, reason=str(refusal))
+            if self._only:
+                raise RefusedByJob(f"Job '{desk.job}' does not take this worker: {refusal}") from None
+            return
+        appointment.join_at = None
+        if desk.joined(answer):
+            log.info("joined", job=desk.job, epoch=desk.epoch, worker=self.wid[:8])
+
+    def _serve(self, appointment: Appointment) -> None:
+        """Evaluate one batch of a job and send its result."""
+        desk = appointment.desk
+        work = desk.next()
+        if work is None:
+            return
+        try:
+            evaluator = self._evaluator(desk.job, work.scene)
+            result = self._evaluate(evaluator, work)
+        except (NoReply, Refused, MessageError) as error:
+            log.warning("handed a batch back", job=desk.job, reason=str(error))
+            desk.release(work.batch)
+            self._join_soon(appointment)
+            return
+        if result is None or work.batch not in desk.held:
+            return
+        self._put(Keys(desk.job).result(self.wid), result)
+        desk.release(work.batch)
+
+    def _evaluator(self, job: str, digest: str) -> Evaluator:
+        def load() -> Evaluator:
+            return Evaluator(unpack_scene(self._library.bundle(self._bus, job, digest)))
+
+        return self._worlds.get(digest, load)
+
+    def _evaluate(self, evaluator: Evaluator, work: Work) -> Result | None:
+        """Evaluate a batch, slice by slice; None when this process is asked to stop on the way."""
+        shape = evaluator.shape(work.prior)
+        if work.genes != shape.genes:
+            raise MessageError(f"the batch has {work.genes} genes, this scene has {shape.genes}")
+        rows = unpack(shape.empty(work.n), WORK_COLUMNS, work.columns, shape)
+        failures: list[Failure] = []
+        began = time.process_time()
+        for place in slices(work.n):
+            self._hear(0.0)
+            if self._stop.is_set:
+                return None
+            part = evaluator.evaluate(work.prior, rows["genome"][place], rows["trial"][place])
+            _copy_results(part.rows, rows[place])
+            failures += [Failure(row=place.start + row, reason=reason) for row, reason in part.failures]
+        return Result(
+            epoch=work.epoch,
+            run=work.run,
+            generation=work.generation,
+            batch=work.batch,
+            attempt=work.attempt,
+            wid=self.wid,
+            n=work.n,
+            joints=shape.joints,
+            descriptors=shape.descriptors,
+            columns=pack(rows, RESULT),
+            cpu_seconds=time.process_time() - began,
+            failures=failures,
+        )
+
+    def _put(self, key: str, message: Message) -> None:
+        self._bus.put(key, codec.encode(message), encoding=codec.encoding(type(message)))
+
+
+def slices(n: int) -> Iterator[slice]:
+    """Cut n rows into pieces of `SLICE`."""
+    for start in range(0, n, SLICE):
+        yield slice(start, min(start + SLICE, n))
+
+
+def _copy_results(source: Rows, target: Rows) -> None:
+    for column in RESULT:
+        target[column.name] = np.asarray(source[column.name])
