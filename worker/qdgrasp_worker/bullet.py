@@ -1,0 +1,182 @@
+"""The door to PyBullet: the only module that imports it. Thin, typed, without a decision of its own.
+
+Poses are of a body's root link; contacts are those of the last collision detection. Lengths are metres,
+quaternions xyzw. Arguments are plain lists: arrays take PyBullet twice as long to read.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+from qdgrasp_worker.quiet import quiet
+
+with quiet():
+    import pybullet as pb
+
+VERSION = version("pybullet")
+STILL = [0.0, 0.0, 0.0]
+UPRIGHT = [0.0, 0.0, 0.0, 1.0]
+Vector = tuple[float, float, float]
+Box = tuple[Vector, Vector]
+"""Low and high corner."""
+BASE = -1
+"""The index of a body's root link."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """How a joint is driven to a position."""
+
+    force: float
+    """The most it may push [N or Nm]."""
+    max_velocity: float
+    """[m/s or rad/s]."""
+    position_gain: float = 0.1
+    """Bullet's kp: this share of the error is made good in a step."""
+    velocity_gain: float = 1.0
+    """Bullet's kd."""
+
+
+class Link(NamedTuple):
+    """A link with the joint that carries it; both have the same index."""
+
+    joint: str
+    link: str
+    moves: bool
+
+
+class Contact(NamedTuple):
+    """A point where two bodies touch, or are about to."""
+
+    link: int
+    """The first body's link."""
+    distance: float
+    """Negative where they penetrate [m]."""
+
+
+class Bullet:
+    """A world of its own, without gravity, set up so that the same calls give the same bits."""
+
+    def __init__(self) -> None:
+        with quiet():
+            self._client = pb.connect(pb.DIRECT)
+        pb.resetSimulation(pb.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=self._client)
+        pb.setPhysicsEngineParameter(
+            deterministicOverlappingPairs=1,
+            enableFileCaching=0,  # meshes would be remembered by file name across worlds
+            physicsClientId=self._client,
+        )
+
+    def close(self) -> None:
+        """Leave the world, and free it. Closing twice is allowed."""
+        if self._client >= 0:
+            pb.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def load(self, urdf: Path, *, fixed: bool) -> int:
+        """Load a URDF's bodies without its visual shapes; its inertias are those of the collision shapes."""
+        with quiet():
+            body: int = pb.loadURDF(
+                str(urdf),
+                useFixedBase=fixed,
+                flags=pb.URDF_IGNORE_VISUAL_SHAPES,
+                physicsClientId=self._client,
+            )
+        return body
+
+    def links(self, body: int) -> list[Link]:
+        """All links but the root, by index."""
+        count = pb.getNumJoints(body, physicsClientId=self._client)
+        infos = [pb.getJointInfo(body, i, physicsClientId=self._client) for i in range(count)]
+        return [Link(info[1].decode(), info[12].decode(), info[2] != pb.JOINT_FIXED) for info in infos]
+
+    def shaped_links(self, body: int) -> list[int]:
+        """The links that have a collision shape, the root link among them."""
+        links = range(BASE, pb.getNumJoints(body, physicsClientId=self._client))
+        return [i for i in links if pb.getCollisionShapeData(body, i, physicsClientId=self._client)]
+
+    def box(self, body: int, link: int) -> Box:
+        """The axis-aligned box around a link's collision shapes [m]."""
+        box: Box = pb.getAABB(body, link, physicsClientId=self._client)
+        return box
+
+    def collide(self, body: int, group: int, mask: int) -> None:
+        """Let all links of a body be of collision group `group` and meet the groups in `mask` only."""
+        for link in range(BASE, pb.getNumJoints(body, physicsClientId=self._client)):
+            pb.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=self._client)
+
+    def set_friction(self, body: int, lateral: float, rolling: float, spinning: float) -> None:
+        """Set the friction coefficients of a body's root link."""
+        pb.changeDynamics(
+            body,
+            BASE,
+            lateralFriction=lateral,
+            rollingFriction=rolling,
+            spinningFriction=spinning,
+            physicsClientId=self._client,
+        )
+
+    def place(self, body: int, position: Sequence[float], quaternion: Sequence[float]) -> None:
+        """Put a body's root link, by its centre of mass, at a pose."""
+        pb.resetBasePositionAndOrientation(body, position, quaternion, physicsClientId=self._client)
+
+    def position(self, body: int) -> Vector:
+        """The position of a body's root link, by its centre of mass [m]."""
+        position: Vector = pb.getBasePositionAndOrientation(body, physicsClientId=self._client)[0]
+        return position
+
+    def halt(self, body: int) -> None:
+        """Take a body's linear and angular velocity away."""
+        pb.resetBaseVelocity(body, STILL, STILL, physicsClientId=self._client)
+
+    def velocity(self, body: int) -> Vector:
+        """The velocity of a body's root link, by its centre of mass [m/s]."""
+        linear: Vector = pb.getBaseVelocity(body, physicsClientId=self._client)[0]
+        return linear
+
+    def set_joints(self, body: int, joints: list[int], positions: Sequence[float]) -> None:
+        """Put joints at positions, at rest."""
+        pb.resetJointStatesMultiDof(
+            body,
+            joints,
+            [[position] for position in positions],
+            [[0.0]] * len(joints),
+            physicsClientId=self._client,
+        )
+
+    def joints(self, body: int, joints: list[int]) -> list[float]:
+        """Positions of joints [m or rad]."""
+        return [state[0] for state in pb.getJointStates(body, joints, physicsClientId=self._client)]
+
+    def drive(self, body: int, joint: int, target: float, motor: Motor) -> None:
+        """Command a joint to a position, from the next step on."""
+        pb.setJointMotorControl2(
+            body,
+            joint,
+            pb.POSITION_CONTROL,
+            targetPosition=target,
+            force=motor.force,
+            maxVelocity=motor.max_velocity,
+            positionGain=motor.position_gain,
+            velocityGain=motor.velocity_gain,
+            physicsClientId=self._client,
+        )
+
+    def detect(self) -> None:
+        """Find the contacts of the poses as they are, without moving anything."""
+        pb.performCollisionDetection(physicsClientId=self._client)
+
+    def step(self) -> None:
+        """Move on by 1/240 s."""
+        pb.stepSimulation(physicsClientId=self._client)
+
+    def touching(self, body: int, other: int) -> bool:
+        """Whether there is any contact between two bodies."""
+        return bool(pb.getContactPoints(body, other, physicsClientId=self._client))
+
+    def contacts(self, body: int, other: int) -> list[Contact]:
+        """The contacts between two bodies."""
+        points = pb.getContactPoints(body, other, physicsClientId=self._client)
+        return [Contact(point[3], point[8]) for point in points]

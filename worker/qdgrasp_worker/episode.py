@@ -1,0 +1,100 @@
+"""An episode: what happens to one pose. Place it, look for overlap, close the hand, look for touch, shake."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_worker.grasp import Pose
+from qdgrasp_worker.protocols import CLOSING_STEPS, TARGET_STEPS, EvaluationProtocol, Shake
+from qdgrasp_worker.world import World
+
+GLANCE_EVERY = 5
+"""Steps of closing between two looks whether the object has left."""
+FITNESS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
+"""The outcome of a success by the number of shakes that it survived."""
+
+
+class Verdict(NamedTuple):
+    """What an episode found."""
+
+    outcome: Outcome
+    joints: list[float]
+    """Finger joints [rad or m] after closing where that was a success, else as they were at first."""
+    contacts: int = 0
+    """Finger links that touch the object after closing."""
+    penetration: float = 0.0
+    """How deep the hand and the object are in each other after closing, 0 or positive [m]."""
+
+    @property
+    def fitness(self) -> int:
+        """Shakes survived."""
+        return max(0, self.outcome - Outcome.DROPPED)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """How poses fare in a world under a protocol."""
+
+    world: World
+    protocol: EvaluationProtocol
+    stops_early: bool = True
+    """Whether closing ends when the object has left; it changes no verdict."""
+
+    def run(self, pose: Pose) -> Verdict:
+        """Evaluate one pose, from a clean start."""
+        if self._overlaps(pose):
+            return Verdict(Outcome.OVERLAP, pose.joints)
+        touched = self._close(pose)
+        fingers = self._touching_fingers()
+        if not fingers:
+            return Verdict(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
+        joints, depth = self.world.fingers(), self._penetration()
+        return Verdict(FITNESS[self._shakes_survived()], joints, len(fingers), depth)
+
+    def _overlaps(self, pose: Pose) -> bool:
+        """Place the open hand; whether any link of it is inside the object."""
+        first = pose.joints if self.protocol.free_joints_first else self.world.opened
+        self.world.reset(pose, first)
+        overlaps = any(contact.distance < 0.0 for contact in self.world.contacts())
+        if not self.protocol.free_joints_first:
+            self.world.set_fingers(pose.joints)
+        return overlaps
+
+    def _close(self, pose: Pose) -> bool:
+        """Close the hand; whether a finger touched the object before the last step."""
+        self.world.close_fingers(pose.synergy)
+        touched = False
+        for step in range(CLOSING_STEPS):
+            if self.stops_early and step % GLANCE_EVERY == 0 and self.world.has_lost_object(pose):
+                break
+            touched = touched or bool(self._touching_fingers())
+            self.world.step()
+        return touched
+
+    def _touching_fingers(self) -> set[int]:
+        """The finger links that touch the object."""
+        return {contact.link for contact in self.world.contacts()} & self.world.finger_links
+
+    def _penetration(self) -> float:
+        return max(0.0, *(-contact.distance for contact in self.world.contacts()))
+
+    def _shakes_survived(self) -> int:
+        """Shake the hand; how many of the shakes the object stays in touch with it."""
+        survived = 0
+        for shake in self.protocol.shakes:
+            if self._holds_through(shake):
+                survived += 1
+            elif self.protocol.ends_when_lost:
+                break
+        return survived
+
+    def _holds_through(self, shake: Shake) -> bool:
+        """One shake; it ends with the first look that finds the object lost."""
+        for target in shake.targets:
+            self.world.shake_to(target, shake)
+            for _ in range(0, TARGET_STEPS, self.protocol.look_every):
+                for _ in range(self.protocol.look_every):
+                    self.world.step()
+                if not self.world.is_touching():
+                    return False
+        return True

@@ -1,0 +1,125 @@
+"""Evaluate: a batch of genomes in, a batch of result rows out. Decode, place, close, shake, report."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import Scene, layout
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.rows import Rows, Shape
+from qdgrasp_worker.decode import Decoder
+from qdgrasp_worker.episode import Episode, Verdict
+from qdgrasp_worker.grasp import Grasps, Pose
+from qdgrasp_worker.protocols import PROTOCOLS
+from qdgrasp_worker.surface import Surface
+from qdgrasp_worker.world import World
+
+REASON_LENGTH = 200
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a batch found."""
+
+    rows: Rows
+    """(n,): trial, genome and all result columns; result columns of failed rows hold zeros."""
+    failures: list[tuple[int, str]]
+    """The rows on which the simulator failed, by their place in the batch, with the reason."""
+
+
+class Evaluator:
+    """One Bullet world for one scene; a context manager that leaves it.
+
+    An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
+    batch, or of the process (DESIGN.md, section 4).
+
+    Raises
+    ------
+    AssetError
+        Bullet cannot load the scene.
+    UnknownName
+        There is no such evaluation protocol.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        if scene.protocol not in PROTOCOLS:
+            raise UnknownName("protocol", scene.protocol, PROTOCOLS)
+        self.scene = scene
+        self._surface = Surface(scene)
+        self._decoders: dict[str, Decoder] = {}
+        self._world = World(scene)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave Bullet; closing twice is allowed."""
+        self._world.close()
+
+    def shape(self, prior: str) -> Shape:
+        """How wide the rows of this scene are with genomes of `prior`."""
+        return Shape(len(layout(self.scene, prior)), len(self.scene.gripper.joints))
+
+    def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
+        """Evaluate genomes (n, d) of `prior`, each in its trial (n,).
+
+        Raises
+        ------
+        UnknownName
+            There is no such prior.
+        """
+        grasps = self._decoder(prior)(genomes)
+        rows = self.shape(prior).empty(len(genomes))
+        rows["genome"], rows["trial"] = genomes, trials
+        failures = []
+        for i, refusal in enumerate(refusals(genomes, trials, grasps)):
+            verdict = refusal or self._verdict(grasps[i])
+            if isinstance(verdict, str):
+                failures.append((i, verdict[:REASON_LENGTH]))
+            else:
+                fill(rows[i : i + 1], grasps, i, verdict)
+        return Evaluation(rows, failures)
+
+    def _decoder(self, prior: str) -> Decoder:
+        if prior not in self._decoders:
+            self._decoders[prior] = Decoder(self.scene, prior, self._surface)
+        return self._decoders[prior]
+
+    def _verdict(self, pose: Pose) -> Verdict | str:
+        """What an episode finds, or the reason why it failed; the next one starts in a new world then."""
+        try:
+            return Episode(self._world, PROTOCOLS[self.scene.protocol]).run(pose)
+        except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
+            self._world.close()
+            self._world = World(self.scene)
+            return f"{type(error).__name__}: {error}"
+
+
+def refusals(genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: Grasps) -> list[str]:
+    """For each row the reason why it cannot be evaluated; empty where it can."""
+    finite = np.isfinite(genomes).all(axis=1) & grasps.are_finite
+    reasons = {
+        "the genome stands for no pose: it holds, or leads to, numbers that are not finite": ~finite,
+        "this evaluation protocol has no trial but 0": trials > 0,
+    }
+    return [next((reason for reason, holds in reasons.items() if holds[i]), "") for i in range(len(trials))]
+
+
+def fill(row: Rows, grasps: Grasps, i: int, verdict: Verdict) -> None:
+    """Write what was found on grasp `i` to a view of its row (1,)."""
+    row["outcome"] = verdict.outcome
+    row["fitness"] = verdict.fitness
+    row["proposals"] = 1
+    row["descriptor"] = grasps.positions[i]
+    row["base_to_object"][:, :3] = grasps.positions[i]
+    row["base_to_object"][:, 3:] = grasps.quaternions[i]
+    row["joints"] = verdict.joints
+    row["surface_point"] = grasps.surface_points[i]
+    row["nu"] = grasps.nu[i]
+    row["contacts"] = verdict.contacts
+    row["penetration"] = verdict.penetration

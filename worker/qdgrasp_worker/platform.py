@@ -1,0 +1,70 @@
+"""The platform: all that decides the bits of a result besides scene, genome and trial (DESIGN.md, 4.4)."""
+
+import hashlib
+import platform as machine
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import qdgrasp_assets.scene
+import qdgrasp_protocol.genome
+import qdgrasp_protocol.outcome
+import qdgrasp_protocol.rows
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_protocol.rows import RESULT, pack
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.evaluate import Evaluator
+
+SERVING = frozenset({"cli", "desk", "library", "platform", "service"})
+"""Modules of this room that bring work and carry results away, without a say in them."""
+CONTRACTS = (
+    qdgrasp_assets.scene,
+    qdgrasp_protocol.genome,
+    qdgrasp_protocol.outcome,
+    qdgrasp_protocol.rows,
+)
+"""Modules of other rooms that an evaluation reads its input by and writes its result by."""
+PROBES = 16
+PROBE_GRASPS = 6
+"""Probes that look straight at the surface from near by, so that they reach the shakes."""
+
+
+def platform() -> dict[str, str]:
+    """Versions, the digest of the evaluation's code, and the digest of what a fixed set of probes gives."""
+    return {
+        "qdgrasp": version("qdgrasp"),
+        "pybullet": version("pybullet"),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "machine": machine.machine(),
+        "code": code_digest(),
+        "probes": probe_digest(),
+    }
+
+
+def code_digest() -> str:
+    """sha256 over the sources of everything that takes part in an evaluation."""
+    here = Path(__file__).parent
+    sources = [path for path in here.rglob("*.py") if path.stem not in SERVING]
+    contracts = [Path(str(module.__file__)) for module in CONTRACTS]
+    digest = hashlib.sha256()
+    for path in [*sorted(sources), *contracts]:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def probe_digest() -> str:
+    """sha256 over the result bytes of the probes, some of which reach the shakes."""
+    scene = build_scene(RunSpec(gripper="panda", object="tennis_ball"))
+    with Evaluator(scene) as evaluator:
+        rows = evaluator.evaluate("approach", probes(), np.zeros(PROBES, dtype=np.uint16)).rows
+    return hashlib.sha256(b"".join(pack(rows, RESULT).values())).hexdigest()
+
+
+def probes() -> NDArray[np.float32]:
+    """The genomes (16, 7) of the probes, of the prior approach."""
+    genomes = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, 7)).astype(np.float32)
+    genomes[:PROBE_GRASPS, 3:5] = -1.0  # nu and d at their least
+    return genomes

@@ -1,0 +1,40 @@
+"""The one interface of all priors."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_protocol.genome import Layout
+from qdgrasp_worker.rotation import Floats
+from qdgrasp_worker.surface import Surface
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Hand poses before they are rounded; the hand's root link in the object's CoM frame."""
+
+    positions: Floats
+    """(n, 3) [m]."""
+    quaternions: Floats
+    """(n, 4) xyzw, unit; NaN where the genes name no rotation."""
+    surface_points: Floats
+    """(n, 3) [m]; zeros where the prior aims at none."""
+    nu: Floats
+    """(n,) [rad]; zero where the prior aims at none."""
+
+
+class Prior(ABC):
+    """How the leading genes of a genome become a hand pose."""
+
+    name: str
+
+    def values(self, layout: Layout, genomes: NDArray[np.float32]) -> Floats:
+        """What genomes (n, d) in [-1, 1] stand for, in m and rad; (n, d)."""
+        return layout.values(genomes)
+
+    @abstractmethod
+    def poses(self, genes: Floats, surface: Surface, hand: SceneGripper) -> Poses:
+        """The poses that the prior's own genes (n, k) stand for, one for each row."""

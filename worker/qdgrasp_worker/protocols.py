@@ -1,0 +1,56 @@
+"""The evaluation protocols: one table of frozen values (DESIGN.md, section 5).
+
+Common to all of them: no gravity, 240 steps a second, 100 steps of closing, then two shakes with three
+targets of 68 steps each. Figures are those of the public code of Huber et al. 2024 (commit 0b8f8da).
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+CLOSING_STEPS = 100
+TARGET_STEPS = 68
+"""How long each target of a shake is pursued."""
+
+
+@dataclass(frozen=True)
+class Shake:
+    """A joint of the carrier is sent to +amplitude, to -amplitude and back to zero."""
+
+    joint: str
+    """"z" or "x": the carrier joint that is marked with it."""
+    amplitude: float
+    """[m or rad]. The translation is limited by its force: it goes from 0 to 0.206 m and back to 0."""
+    position_gain: float
+    """Bullet's kp."""
+    velocity_gain: float
+    """Bullet's kd."""
+
+    @property
+    def targets(self) -> tuple[float, float, float]:
+        """Where the joint is sent, one after the other."""
+        return self.amplitude, -self.amplitude, 0.0
+
+
+@dataclass(frozen=True)
+class EvaluationProtocol:
+    """What an evaluation does where the protocols differ."""
+
+    name: str
+    shakes: tuple[Shake, ...]
+    look_every: int
+    """Steps of a shake between two looks whether the hand still touches the object; divides TARGET_STEPS."""
+    ends_when_lost: bool
+    """Whether an object that one shake lost is spared the next."""
+    free_joints_first: bool
+    """Whether the free joints take their places before the test for overlap, or after it."""
+
+
+SHAKES = (
+    Shake("z", 0.2, position_gain=2.82, velocity_gain=64.0),
+    Shake("x", pi / 4, position_gain=0.05, velocity_gain=1.0),
+)
+RELEASED = EvaluationProtocol(
+    "released", SHAKES, look_every=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
+)
+PAPER = EvaluationProtocol("paper", SHAKES, look_every=4, ends_when_lost=True, free_joints_first=True)
+PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED)}

@@ -1,0 +1,157 @@
+"""The world: one scene in Bullet, which forgets everything between two evaluations."""
+
+from collections.abc import Iterator, Sequence
+
+from qdgrasp_assets.scene import Joint, Scene, SceneGripper
+from qdgrasp_worker.bodies import Hand, Target
+from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Contact, Motor
+from qdgrasp_worker.grasp import NO_SYNERGY, Pose
+from qdgrasp_worker.protocols import CLOSING_STEPS, Shake
+from qdgrasp_worker.sweep import Sweep
+
+AWAY = [0.0, 0.0, 5.0]
+"""Where the hand is out of touch with everything [m]."""
+FREE_POSTURES = 13
+"""How many places of the free joints the sweep is measured at: every 15 degrees of Barrett's spread."""
+
+
+class World:
+    """A hand on its carrier and an object, until `close`.
+
+    Raises
+    ------
+    AssetError
+        Bullet cannot load the scene, or a joint or link that it names is not there.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._bullet = Bullet()
+        try:
+            self._hand = Hand(self._bullet, scene.gripper)
+            self._target = Target(self._bullet, scene.object)
+        except BaseException:
+            self._bullet.close()
+            raise
+        gripper = scene.gripper
+        self.finger_links = self._hand.finger_links
+        self.opened = [joint.opened for joint in gripper.joints]
+        self._at_zero = [0.0] * (len(self._hand.carrier) + len(self._hand.others))
+        self._closing = {
+            label: self._commands(gripper, joints) for label, joints in closing_joints(gripper).items()
+        }
+        carrier = zip(self._hand.carrier, gripper.carrier, strict=True)
+        self._shaken = {joint.shake: (index, joint) for index, joint in carrier}
+        self._sweep = self._measure_sweep(gripper)
+
+    def close(self) -> None:
+        """Leave Bullet and free the world; closing twice is allowed."""
+        self._bullet.close()
+
+    def reset(self, pose: Pose, posture: Sequence[float]) -> None:
+        """Put hand and object in place, at rest, with nothing left of what happened before.
+
+        In this order the same pose gives the same bits whatever came before: a collision detection with
+        the hand away empties Bullet's cache of contacts, which would otherwise be carried over.
+        """
+        bullet, hand = self._bullet, self._hand
+        bullet.place(hand.body, AWAY, UPRIGHT)
+        joints = [*hand.carrier, *hand.others, *hand.fingers]
+        bullet.set_joints(hand.body, joints, [*self._at_zero, *posture])
+        bullet.place(self._target.body, STILL, UPRIGHT)
+        bullet.halt(self._target.body)
+        bullet.detect()
+        bullet.place(hand.body, pose.position, pose.quaternion)
+        bullet.detect()
+
+    def set_fingers(self, posture: Sequence[float]) -> None:
+        """Put the finger joints at `posture` [rad or m], at rest."""
+        self._bullet.set_joints(self._hand.body, self._hand.fingers, posture)
+
+    def close_fingers(self, synergy: int) -> None:
+        """Command a synergy's fingers to close, the other driven ones to stay open, the carrier to hold.
+
+        Raises
+        ------
+        ValueError
+            The hand has no synergy of this label.
+        """
+        if synergy not in self._closing:
+            raise ValueError(f"synergy must be one of {sorted(self._closing)}, got {synergy}")
+        for index, target, motor in self._closing[synergy]:
+            self._bullet.drive(self._hand.body, index, target, motor)
+
+    def shake_to(self, target: float, shake: Shake) -> None:
+        """Command the carrier joint that `shake` moves to `target` [m or rad]."""
+        index, joint = self._shaken[shake.joint]
+        motor = Motor(joint.shake_force, joint.max_velocity, shake.position_gain, shake.velocity_gain)
+        self._bullet.drive(self._hand.body, index, target, motor)
+
+    def step(self) -> None:
+        """Move on by 1/240 s."""
+        self._bullet.step()
+
+    def is_touching(self) -> bool:
+        """Whether any link of the hand touches the object."""
+        return self._bullet.touching(self._hand.body, self._target.body)
+
+    def contacts(self) -> list[Contact]:
+        """The contacts of the hand's links with the object."""
+        return self._bullet.contacts(self._hand.body, self._target.body)
+
+    def has_lost_object(self, pose: Pose) -> bool:
+        """Whether the hand at `pose`, while it closes, can touch the object no more."""
+        body = self._target.body
+        return self._sweep.is_left(pose, self._bullet.position(body), self._bullet.velocity(body))
+
+    def fingers(self) -> list[float]:
+        """The positions of the finger joints, in the gripper's order [rad or m]."""
+        return self._bullet.joints(self._hand.body, self._hand.fingers)
+
+    def _measure_sweep(self, gripper: SceneGripper) -> Sweep:
+        """Close the hand far from the object, with its free joints all along their ranges."""
+        away = Pose(AWAY, UPRIGHT, self.opened, NO_SYNERGY)
+        boxes = []
+        for posture in free_postures(gripper):
+            self.reset(away, posture)
+            self.close_fingers(NO_SYNERGY)
+            for _ in range(CLOSING_STEPS):
+                boxes += [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]
+                self.step()
+        return Sweep.around(boxes, AWAY, self._target.radius)
+
+    def _commands(self, gripper: SceneGripper, closing: Sequence[str]) -> list[tuple[int, float, Motor]]:
+        """What is commanded when the joints `closing` close; undriven joints keep Bullet's own motor."""
+        held = [
+            (index, 0.0, Motor(joint.force, joint.max_velocity))
+            for index, joint in zip(self._hand.carrier, gripper.carrier, strict=True)
+        ]
+        driven = [
+            (index, joint.closed if joint.name in closing else joint.opened, finger_motor(joint))
+            for index, joint in zip(self._hand.fingers, gripper.joints, strict=True)
+            if joint.driven
+        ]
+        return held + driven
+
+
+def finger_motor(joint: Joint) -> Motor:
+    """The motor of a finger joint."""
+    return Motor(joint.effort, joint.velocity)
+
+
+def free_postures(gripper: SceneGripper) -> Iterator[list[float]]:
+    """Open postures with the free joints along their ranges, all at once."""
+    free = {joint.name: joint for joint in gripper.free_joints}
+    for share in (i / (FREE_POSTURES - 1) for i in range(FREE_POSTURES if free else 1)):
+        yield [
+            free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
+            if joint.name in free
+            else joint.opened
+            for joint in gripper.joints
+        ]
+
+
+def closing_joints(gripper: SceneGripper) -> dict[int, Sequence[str]]:
+    """The names of the joints that close, by the synergy's label."""
+    everything = [joint.name for joint in gripper.joints if joint.driven]
+    synergies = {label: synergy.joints for label, synergy in enumerate(gripper.synergies)}
+    return {NO_SYNERGY: everything, **synergies}
