@@ -119,7 +119,7 @@ class RecorderLink(Record):
     def heard(self, message: Recorded, now: float) -> None:
         """Take note of what is durable."""
         if message.run == self._run and message.epoch == self._epoch:
-            self._outbox.confirm(message.durable, now)
+            self._outbox.durable(message.durable, now)
             self.trouble = message.trouble
 
     def recorder_up(self, now: float) -> None:
@@ -151,12 +151,12 @@ class RecorderLink(Record):
     @property
     def is_empty(self) -> bool:
         """All rows are durable."""
-        return self._outbox.unconfirmed == 0
+        return self._outbox.is_empty
 
     @property
     def durable(self) -> int:
         """How many rows of the run are on disk."""
-        return self._outbox.durable
+        return self._outbox.confirmed
 
     def _put(self, key: str, message: Recordable | Platform) -> None:
         kind = type(message)

@@ -5,7 +5,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 from qdgrasp_coordinator.crew import Crew
 from qdgrasp_coordinator.pipeline import Pipeline
@@ -20,6 +19,7 @@ from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 JOB = "evaluate"
 GENERATION = 4096

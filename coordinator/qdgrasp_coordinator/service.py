@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass
 
+import msgspec
 import structlog
 
 from qdgrasp_assets.scene import Bundle
@@ -130,13 +131,7 @@ class CoordinatorService:
                 look(time.monotonic())
             self._publish_figures(time.monotonic())
         reason = self._pipeline.finished or "asked to stop"
-        log.info(
-            "ended",
-            run=self._run.run,
-            reason=reason,
-            leases=self._dispatch.counts.leased,
-            requeued=self._dispatch.counts.requeued,
-        )
+        log.info("ended", run=self._run.run, reason=reason, **self._dispatch.counters)
 
     def _open_run(self) -> OpenRun:
         shape = self._run.shape
@@ -170,7 +165,7 @@ class CoordinatorService:
             stretch = self._record.recorded(position)
             if not len(stretch):
                 raise EndedEarly(f"The recorder has {durable} rows but shows none from {position} on.")
-            self._pipeline.replay(stretch)
+            self._pipeline.replay(stretch.rows)
             position = stretch.stop
             self._publish_figures(time.monotonic())
         self._replayed = self._pipeline.tally.evaluations
@@ -190,8 +185,7 @@ class CoordinatorService:
         self._publish_figures(now)
 
     def _patience(self, now: float) -> float:
-        deadline = self._dispatch.next_deadline()
-        return MAX_PATIENCE if deadline is None else min(MAX_PATIENCE, max(0.0, deadline - now))
+        return min(MAX_PATIENCE, max(0.0, self._dispatch.next_deadline() - now))
 
     def _ask(self) -> None:
         """Ask the search for what it may be asked for, unless the recorder is far behind."""
@@ -207,8 +201,8 @@ class CoordinatorService:
             self._run.bundle.digest,
             self._run.prior,
             generation.number,
-            generation.index,
-            generation.trial,
+            generation.indices,
+            generation.trials,
             generation.genomes,
         )
 
@@ -229,7 +223,7 @@ class CoordinatorService:
         who = last_chunk(key)
         if key == self._keys.worker_token(who):
             if alive:
-                self._dispatch.back(who)
+                self._dispatch.back(who, now)
             else:
                 self._dispatch.gone(who, now)
         elif key == self._keys.recorder_token(who):
@@ -260,33 +254,24 @@ class CoordinatorService:
     def _take_result(self, sample: Sample, now: float) -> None:
         """Settle a result once, and take what became final."""
         try:
-            result = codec.decode(sample.payload, Result)
-            rows, failures = self._read(result)
-            settled = self._dispatch.settle(
-                last_chunk(sample.key),
-                result.epoch,
-                result.batch,
-                result.n,
-                result.cpu_seconds,
-                failures,
-                now,
-            )
+            result, rows = self._read(sample)
+            settled = self._dispatch.settle(last_chunk(sample.key), result, rows, now)
         except MessageError as error:
             log.warning("dropped a result", reason=str(error))
             return
-        if settled.settlement is Settlement.FRESH:
-            final = self._pipeline.settle(settled.rows(rows), result.cpu_seconds, settled.failures)
-            self._record.push(final)
+        if settled.kind is Settlement.FRESH and settled.rows is not None:
+            self._record.push(self._pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
 
-    def _read(self, result: Result) -> tuple[Rows, list[Failure]]:
-        """A result's rows; where they cannot be read, all of them failed, for that reason."""
+    def _read(self, sample: Sample) -> tuple[Result, Rows]:
+        """A result and its rows; where these cannot be read, all of them failed, for that reason."""
+        result = codec.decode(sample.payload, Result)
         shape = self._run.shape
         rows = shape.empty(result.n)
         try:
-            return unpack(rows, RESULT, result.columns, shape), result.failures
+            return result, unpack(rows, RESULT, result.columns, shape)
         except MessageError as error:
-            reason = str(error)[:200]
-            return rows, [Failure(row=row, reason=reason) for row in range(result.n)]
+            failures = [Failure(row=row, reason=str(error)[:200]) for row in range(result.n)]
+            return msgspec.structs.replace(result, failures=failures), rows
 
     def _take_recorded(self, sample: Sample, now: float) -> None:
         if not isinstance(self._record, RecorderLink):

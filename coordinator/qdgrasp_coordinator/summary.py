@@ -4,10 +4,7 @@ import msgspec
 from msgspec import Struct
 
 from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.pipeline import BARREN
-from qdgrasp_coordinator.tally import Tally, counted
-from qdgrasp_protocol.rows import Rows
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_coordinator.tally import tally
 
 
 class Summary(Struct, frozen=True, kw_only=True):
@@ -71,11 +68,7 @@ def summary(folder: RunFolder) -> Summary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        tally, end = Tally(spec.overlaps), End(spec)
-        for rows in journal.blocks():
-            tally.add(rows)
-            end.add(rows)
-        ended = end.reason(tally)
+        found = tally(spec, journal.blocks())
         return Summary(
             gripper=spec.gripper,
             object=spec.object,
@@ -83,55 +76,25 @@ def summary(folder: RunFolder) -> Summary:
             protocol=spec.protocol,
             seed=spec.seed,
             overlaps_mode=spec.overlaps,
-            evaluations=tally.evaluations,
+            evaluations=found.evaluations,
             budget=spec.evaluations,
-            rows=tally.rows,
-            proposals=tally.proposals,
-            overlaps=tally.overlaps,
-            dead_ends=tally.dead_ends,
-            successes=tally.successes,
-            grasps=tally.grasps,
-            robust=tally.robust,
-            cells=tally.cells,
-            errors=tally.errors,
+            rows=found.rows,
+            proposals=found.proposals,
+            overlaps=found.overlaps,
+            dead_ends=found.dead_ends,
+            successes=found.successes,
+            grasps=found.grasps,
+            robust=found.robust,
+            cells=found.cells,
+            errors=found.errors,
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,
-            complete=bool(ended),
-            ended=ended,
+            complete=found.finished is not None,
+            ended=found.finished or "",
             collision_source=folder.scene().object.collision_source,
             scene=journal.scene,
             platform=journal.platform,
         )
-
-
-class End:
-    """Whether a journal is that of a run that has ended: its budget is spent, or it counted nothing for long."""
-
-    def __init__(self, spec: RunSpec) -> None:
-        self._spec = spec
-        self._generations = 0
-        """Complete generations in the journal."""
-        self._counted = 0
-        """Generations up to the last that counted something."""
-
-    def add(self, rows: Rows) -> None:
-        """Hear the next rows."""
-        if not len(rows):
-            return
-        last = rows[-1]
-        is_whole = int(last["index"]) == self._spec.population - 1
-        self._generations = int(last["generation"]) + is_whole
-        numbers = rows["generation"][counted(rows, self._spec.overlaps)]
-        if len(numbers):
-            self._counted = int(numbers.max()) + 1
-
-    def reason(self, tally: Tally) -> str:
-        """Why the run has ended, in words; empty while it has not."""
-        if tally.evaluations >= self._spec.evaluations:
-            return f"the budget of {self._spec.evaluations} evaluations is spent"
-        if self._generations - self._counted >= BARREN:
-            return f"the last {BARREN} generations counted no evaluation"
-        return ""
 
 
 def _text(value: object) -> str:
