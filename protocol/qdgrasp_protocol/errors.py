@@ -7,6 +7,7 @@
         * ImpossibleValue        a value outside what a field allows
         * AssetError             a file, mesh, URDF or gripper that cannot be used
         * FolderError            a run folder that cannot be used
+            * DiskFull               there is no room to write in it
         * EndpointError          an endpoint that cannot be listened on or reached
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
@@ -80,6 +81,10 @@ class AssetError(InputError):
 
 class FolderError(InputError):
     """A run folder that cannot be used."""
+
+
+class DiskFull(FolderError):
+    """There is no room to write in a run folder; what was written before is whole."""
 
 
 class EndpointError(InputError):

@@ -35,7 +35,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     evaluations: Annotated[int, Meta(ge=1)] = 10_000
     """The budget: counted evaluations."""
-    seed: Annotated[int, Meta(ge=0, lt=2**63)] = 0
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
     population: Annotated[int, Meta(ge=1, le=4096)] = 500
     """Genomes in a generation (the paper's mu = lambda)."""
@@ -45,7 +45,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """The probability that a gene mutates."""
     generations_in_flight: Annotated[int, Meta(ge=1, le=16)] = 1
     """Generation g is asked when generation g minus this has been told."""
-    surface_seed: Annotated[int, Meta(ge=0, lt=2**63)] = 0
+    surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     """Seed of the surface points, part of the scene."""
 
 
@@ -92,6 +92,20 @@ def read_run_spec(path: Path) -> dict[str, Any]:
         raise InputError(f"No spec can be read at '{path}': {error.strerror or error}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is not TOML: {error}.") from None
+
+
+def from_toml(text: str, where: str = "spec") -> RunSpec:
+    """The spec in a TOML text; the inverse of `to_toml`.
+
+    Raises
+    ------
+    InputError
+        The text is not TOML, or not a spec; see `run_spec`.
+    """
+    try:
+        return run_spec(tomllib.loads(text), where)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{where} is not TOML: {error}.") from None
 
 
 def to_toml(spec: RunSpec) -> str:

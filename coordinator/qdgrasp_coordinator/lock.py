@@ -1,0 +1,73 @@
+"""One process writes in a folder: a lock that the kernel frees when its holder dies."""
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from qdgrasp_coordinator import disk
+from qdgrasp_protocol.errors import FolderError
+
+FILE = "lock"
+PATIENCE = 1.0  # seconds; whoever only looks whether a folder is in use holds its lock for an instant
+INTERVAL = 0.05  # seconds between two tries
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock.
+
+    Raises
+    ------
+    FolderError
+        Another process holds it, or the folder cannot be written.
+    """
+    with _opened(folder) as file:
+        deadline = time.monotonic() + PATIENCE
+        while not _taken(file):
+            if time.monotonic() > deadline:
+                raise _in_use(folder, file)
+            time.sleep(INTERVAL)
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
+
+
+def check_free(folder: Path) -> None:
+    """Check that nobody holds the folder's lock.
+
+    Raises
+    ------
+    FolderError
+        Somebody does.
+    """
+    with _opened(folder) as file:
+        if not _taken(file):
+            raise _in_use(folder, file)
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[IO[str]]:
+    with disk.writing(folder):
+        file = (folder / FILE).open("a+")
+    with file:
+        yield file
+
+
+def _taken(file: IO[str]) -> bool:
+    """Take the lock if it is free."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _in_use(folder: Path, file: IO[str]) -> FolderError:
+    file.seek(0)
+    pid = file.read().strip()
+    return FolderError(f"{folder} is in use{f' by process {pid}' if pid else ''}; wait for it or stop it.")
