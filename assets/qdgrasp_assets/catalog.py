@@ -1,16 +1,31 @@
 """The catalog: names of grippers and objects, and the scene made of one of each."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.gripper import Gripper, read_gripper
+from qdgrasp_assets.files import searched
+from qdgrasp_assets.gripper import Gripper, read_gripper, read_gripper_file
+from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.surface import SURFACES
-from qdgrasp_assets.target import Target, vector
+from qdgrasp_assets.target import Target, read_target, vector
+from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 GRIPPERS = Path(__file__).parent / "grippers"
+REFERENCE = "ref_"
+"""What the names of the reference hands begin with."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """One line of the catalog."""
+
+    name: str
+    source: str
+    """Where it is: "built in" or "asset path"."""
+    licence: str
 
 
 def build_scene(spec: RunSpec) -> Scene:
@@ -42,19 +57,86 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def find_gripper(name: str) -> Gripper:
-    """The built-in gripper of this name, or the one whose TOML file this is."""
+    """The gripper of the catalog with this name, or the one whose TOML file this is.
+
+    Raises
+    ------
+    UnknownName, UnknownKey, AssetError
+        As in `build_scene`.
+    """
     built_in = GRIPPERS / f"{name}.toml"
-    if built_in.is_file():
-        return read_gripper(built_in, name, "asset path" if name.startswith("ref_") else "built in")
-    path = Path(name)
+    if built_in in _gripper_files():
+        return read_gripper(built_in, name, _gripper_source(name))
+    path = Path(name).expanduser()
+    if not _is_file(path):
+        hint = f"Or name a gripper's TOML file. Reference hands lie on the asset path ({searched()})."
+        raise UnknownName("gripper", name, gripper_names(), hint)
     return read_gripper(path, path.stem, path.name)
 
 
 def find_object(spec: RunSpec) -> Target:
-    """The object that a spec names, with the spec's mass and friction."""
-    target = ycb.read_scan(spec.object.removeprefix(ycb.PREFIX), spec.protocol)
+    """The object that a spec names, with the spec's mass and friction.
+
+    Raises
+    ------
+    UnknownName, AssetError
+        As in `build_scene`.
+    """
+    target = _find_target(spec)
     if spec.mass is not None:
         target = replace(target, mass=spec.mass)
     if spec.friction is not None:
         target = replace(target, lateral_friction=spec.friction)
     return target
+
+
+def _find_target(spec: RunSpec) -> Target:
+    name = spec.object
+    if name in STAND_INS:
+        return stand_in(name)
+    if name in ycb.SCANS:
+        return ycb.read_scan(name, spec.protocol)
+    path = Path(name).expanduser()
+    if not _is_file(path):
+        hint = f"Or name a mesh file in metres, with its mass. Scans lie on the asset path ({searched()})."
+        raise UnknownName("object", name, object_names(), hint)
+    return read_target(path, spec.mass)
+
+
+def gripper_names() -> tuple[str, ...]:
+    """The grippers that can be used here."""
+    return tuple(listing.name for listing in grippers())
+
+
+def object_names() -> tuple[str, ...]:
+    """The objects that can be used here, mesh files apart."""
+    return tuple(listing.name for listing in objects())
+
+
+def grippers() -> tuple[Listing, ...]:
+    """The grippers whose files are there."""
+    files = {path.stem: read_gripper_file(path) for path in _gripper_files()}
+    return tuple(
+        Listing(name, _gripper_source(name), file.licence)
+        for name, file in files.items()
+        if file.find_urdf(GRIPPERS / f"{name}.toml") is not None
+    )
+
+
+def objects() -> tuple[Listing, ...]:
+    """The stand-ins, and the scans that are there."""
+    own = tuple(Listing(name, "built in", LICENCE) for name in STAND_INS)
+    return own + tuple(Listing(name, "asset path", ycb.LICENCE) for name in ycb.SCANS if ycb.is_there(name))
+
+
+def _gripper_files() -> tuple[Path, ...]:
+    return tuple(sorted(GRIPPERS.glob("*.toml")))
+
+
+def _gripper_source(name: str) -> str:
+    return "asset path" if name.startswith(REFERENCE) else "built in"
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a name means a file rather than an entry of the catalog."""
+    return bool(path.suffix) or len(path.parts) > 1 or path.is_file()

@@ -63,7 +63,13 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     synergies: tuple[SynergyTable, ...] = ()
     free_joints: dict[str, FreeJointTable] = {}
     carrier_hold_force: float = 100.0
-    """Force that holds the carrier's other joints in `released` [N, Nm]."""
+    """Force that holds the carrier's joints in `released` [N, Nm]."""
+
+    def find_urdf(self, toml: Path) -> Path | None:
+        """Where the URDF should be, for this TOML; None when it is nowhere on the asset path."""
+        if self.urdf.startswith(ON_ASSET_PATH):
+            return on_asset_path(self.urdf.removeprefix(ON_ASSET_PATH))
+        return toml.parent / self.urdf
 
 
 NESTED = {"joints": JointTable, "synergies": SynergyTable, "free_joints": FreeJointTable}
@@ -128,13 +134,30 @@ def read_gripper(path: Path, name: str, source: str) -> Gripper:
     AssetError
         A file is missing or cannot be read, a value is impossible, or the two do not fit each other.
     """
-    file = _gripper_file(path)
-    robot = read_urdf(_urdf_path(path, file.urdf))
+    file = read_gripper_file(path)
+    robot = read_urdf(_urdf_path(path, file))
     _check(path, file, robot)
     return Gripper(name, source, file, robot)
 
 
-def _gripper_file(path: Path) -> GripperFile:
+def _urdf_path(path: Path, file: GripperFile) -> Path:
+    found = file.find_urdf(path)
+    if found is None:
+        raise AssetError(
+            f"The gripper '{path.stem}' needs '{file.urdf.removeprefix(ON_ASSET_PATH)}' of the reference "
+            f"data, which is not there: {searched()}."
+        )
+    return found
+
+
+def read_gripper_file(path: Path) -> GripperFile:
+    """Read a gripper's TOML alone.
+
+    Raises
+    ------
+    UnknownKey, AssetError
+        As in `read_gripper`.
+    """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -157,18 +180,6 @@ def _check_keys(where: str, values: Any, struct: Any) -> None:
     for key in values if isinstance(values, dict) else ():
         if key not in known:
             raise UnknownKey(where, key, known)
-
-
-def _urdf_path(toml: Path, name: str) -> Path:
-    if not name.startswith(ON_ASSET_PATH):
-        return toml.parent / name
-    found = on_asset_path(name.removeprefix(ON_ASSET_PATH))
-    if found is None:
-        raise AssetError(
-            f"The gripper '{toml.stem}' needs '{name.removeprefix(ON_ASSET_PATH)}' of the reference data, "
-            f"which is not there: {searched()}."
-        )
-    return found
 
 
 def _check(path: Path, file: GripperFile, robot: Urdf) -> None:

@@ -36,7 +36,8 @@ class Mesh:
     def crosses(self) -> Floats:
         """(f, 3) [m2]: twice the area of each triangle, along its normal."""
         a, b, c = np.moveaxis(self.corners, 1, 0)
-        return np.cross(b - a, c - a)
+        crosses: Floats = np.cross(b - a, c - a)
+        return crosses
 
     @property
     def areas(self) -> Floats:

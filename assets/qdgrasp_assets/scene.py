@@ -98,7 +98,7 @@ class SceneObject(Struct, frozen=True, kw_only=True):
     source: str
     licence: str
     collision_source: str
-    """Where the convex parts came from: "own parts", "asset path" or "coacd"."""
+    """Where the convex parts came from: "own parts", "own hull", "asset path" or "coacd"."""
     mass: float
     lateral_friction: float
     rolling_friction: float

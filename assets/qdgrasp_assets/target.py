@@ -1,11 +1,14 @@
 """Objects to grasp: a closed mesh with mass, friction and convex parts."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj
+from qdgrasp_assets.convex import convex_parts, is_convex
+from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj, read_solid
 from qdgrasp_assets.scene import SceneObject, Vector
+from qdgrasp_protocol.errors import AssetError
 
 LATERAL_FRICTION = 0.5
 ROLLING_FRICTION = 0.01
@@ -57,6 +60,31 @@ class Target:
             mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
             mesh_faces=mesh.faces.astype("<u4").tobytes(),
         )
+
+
+def read_target(path: Path, mass: float | None) -> Target:
+    """An object from any closed mesh file in metres; its CoM is that of the enclosed volume.
+
+    Its convex parts serve `released` too, as the collision mesh that normals come from.
+
+    Raises
+    ------
+    AssetError
+        The mesh cannot be used, or there is no mass.
+    """
+    mesh = read_solid(path)
+    if mass is None:
+        raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
+    return Target(
+        name=path.stem,
+        source=path.name,
+        licence="not stated",
+        collision_source="own hull" if is_convex(mesh) else "coacd",
+        mass=mass,
+        mesh=mesh,
+        parts=convex_parts(mesh, path.name),
+        com_in_mesh=mesh.centre_of_mass,
+    )
 
 
 def vector(values: Floats) -> Vector:

@@ -123,7 +123,7 @@ class Urdf:
         for mesh in element.iter("mesh"):
             name = mesh.get("filename", "")
             mesh.set("filename", flat.setdefault(name, f"{len(flat)}_{files[name].name}"))
-        return element, {new: files[name].read_bytes() for name, new in flat.items()}
+        return element, {new: _mesh_bytes(files[name]) for name, new in flat.items()}
 
     def _mesh_file(self, name: str) -> Path:
         found = next((place for place in _places(self.path, name) if place.is_file()), None)
@@ -250,6 +250,15 @@ def _transform(rotation: Floats, translation: Floats) -> Floats:
 def _mesh_names(element: ET.Element) -> list[str]:
     """Mesh references in the order of the file, each once."""
     return list(dict.fromkeys(mesh.get("filename", "") for mesh in element.iter("mesh")))
+
+
+def _mesh_bytes(path: Path) -> bytes:
+    """The file's content; an OBJ without its materials, which would be missing from the bundle."""
+    content = path.read_bytes()
+    if path.suffix.lower() != ".obj":
+        return content
+    lines = content.splitlines(keepends=True)
+    return b"".join(line for line in lines if not line.startswith((b"mtllib", b"usemtl", b"#")))
 
 
 def _places(urdf: Path, name: str) -> Iterator[Path]:

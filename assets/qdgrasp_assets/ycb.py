@@ -12,18 +12,22 @@ from qdgrasp_assets.target import Target
 from qdgrasp_protocol.errors import AssetError
 
 PREFIX = "ycb_"
-NAMES = (
-    "banana",
-    "bleach_cleanser",
-    "bowl",
-    "chips_can",
-    "cracker_box",
-    "mug",
-    "power_drill",
-    "rubiks_cube",
-    "spatula",
-    "tennis_ball",
+SCANS = tuple(
+    PREFIX + name
+    for name in (
+        "banana",
+        "bleach_cleanser",
+        "bowl",
+        "chips_can",
+        "cracker_box",
+        "mug",
+        "power_drill",
+        "rubiks_cube",
+        "spatula",
+        "tennis_ball",
+    )
 )
+LICENCE = "CC BY 4.0 (YCB Object and Model Set, YCB Benchmarks)"
 
 
 class Entry(Struct, frozen=True):
@@ -36,8 +40,13 @@ class Entry(Struct, frozen=True):
     """The mesh in whose frame inertial origin, collision parts and S_G are."""
 
 
+def is_there(name: str) -> bool:
+    """Whether the scan `name` of `SCANS` is on the asset path."""
+    return on_asset_path(f"objects/{name.removeprefix(PREFIX)}") is not None
+
+
 def read_scan(name: str, protocol: str) -> Target:
-    """The scanned object `name` (without prefix); its CoM is the inertial origin of the authors' URDF.
+    """The scan `name` of `SCANS`; its CoM is the inertial origin of the authors' URDF.
 
     The mass is the YCB table's, in `released` the authors' (the banana weighs 1 kg there).
 
@@ -46,18 +55,17 @@ def read_scan(name: str, protocol: str) -> Target:
     AssetError
         The reference data is not there, or broken.
     """
-    index = on_asset_path("objects/objects.json")
-    if index is None or not (index.parent / name).is_dir():
+    folder = on_asset_path(f"objects/{name.removeprefix(PREFIX)}")
+    if folder is None:
         raise AssetError(
-            f"The object '{PREFIX}{name}' is a scanned mesh of the reference data (objects/{name}), "
+            f"The object '{name}' is a scan of the reference data (objects/{name.removeprefix(PREFIX)}), "
             f"which is not there: {searched()}."
         )
-    entry = _entry(index, name)
-    folder = index.parent / name
+    entry = _entry(folder)
     return Target(
-        name=PREFIX + name,
+        name=name,
         source="asset path",
-        licence="CC BY 4.0 (YCB Object and Model Set, YCB Benchmarks)",
+        licence=LICENCE,
         collision_source="asset path",
         mass=entry.urdf_mass_kg if protocol == "released" else entry.ycb_table_mass_kg,
         mesh=read_solid(folder / entry.paper_visual_here),
@@ -66,8 +74,13 @@ def read_scan(name: str, protocol: str) -> Target:
     )
 
 
-def _entry(index: Path, name: str) -> Entry:
+def _entry(folder: Path) -> Entry:
+    index = folder.parent / "objects.json"
     try:
-        return convert(json.loads(index.read_text(encoding="utf-8"))[name], Entry)
-    except (OSError, ValueError, KeyError, ValidationError) as error:
-        raise AssetError(f"'{index}' does not describe '{name}': {error}.") from None
+        return convert(json.loads(index.read_text(encoding="utf-8"))[folder.name], Entry)
+    except OSError as error:
+        raise AssetError(
+            f"No table of the scans can be read at '{index}': {error.strerror or error}."
+        ) from None
+    except (ValueError, KeyError, ValidationError) as error:
+        raise AssetError(f"'{index}' does not describe '{folder.name}': {error}.") from None

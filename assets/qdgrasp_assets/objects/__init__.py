@@ -1,0 +1,7 @@
+"""The built-in objects: stand-ins of our own for four YCB objects, built in code from convex parts.
+
+Each lies in the frame of the scanned mesh of the same name and has its centre of mass (the inertial origin
+of the reference data), so that the same pose means the same grasp. Sizes and masses are those published with
+the YCB set (Calli et al. 2015, table of object properties): the scans differ from them by a few millimetres,
+the scanned cracker box by 17 mm in height.
+"""
