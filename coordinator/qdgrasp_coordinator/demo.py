@@ -17,7 +17,7 @@ from qdgrasp_protocol.errors import FolderError
 
 SPEC = {"gripper": "panda", "object": "mug", "method": "contact_me_scs", "evaluations": 6000}
 MARKER = ".qdgrasp-demo"
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @app.command()

@@ -1,21 +1,28 @@
 """What every command of qdgrasp does alike: one clear sentence and an exit code, never a traceback."""
 
 import sys
-from collections.abc import Callable
 
 import typer
+from typer.exceptions import TyperException
 
-from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.errors import InputError, QdgraspError
 
 
-def run_command(app: typer.Typer | Callable[[], None], name: str) -> None:
-    """Run a command line; an error of ours ends it with its sentence and its exit code."""
+def run_command(app: typer.Typer, name: str) -> None:
+    """Run a command line; what goes wrong ends it with a sentence on standard error and an exit code."""
     try:
-        app(prog_name=name) if isinstance(app, typer.Typer) else app()
+        code = app(prog_name=name, standalone_mode=False)
     except QdgraspError as error:
-        print(f"{name}: {error}", file=sys.stderr)  # noqa: T201 - the one place that speaks without a logger
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        sys.exit(130)
+        code = _said(name, str(error), error.exit_code)
+    except TyperException as error:
+        code = _said(name, f"{error.format_message()} See `{name} --help`.", InputError.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        code = 130
     except BrokenPipeError:
-        sys.exit(141)
+        code = 141
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _said(name: str, sentence: str, code: int) -> int:
+    print(f"{name}: {sentence}", file=sys.stderr)  # noqa: T201 - the one place that speaks without a logger
+    return code

@@ -42,7 +42,7 @@ class Commands:
         return Done(process.returncode, out, err)
 
     def start(self, *arguments: object, **environment: str) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "qdgrasp_coordinator.cli", *map(str, arguments)]
+        command = [sys.executable, "-m", "qdgrasp", *map(str, arguments)]
         process = subprocess.Popen(
             command,
             cwd=self.home,

@@ -12,7 +12,7 @@ from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.logs import speak
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()
 
 

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import structlog
 import typer
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 from qdgrasp_coordinator import preparation
 from qdgrasp_coordinator.cli import options
@@ -19,8 +18,9 @@ from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.logs import speak
 from qdgrasp_protocol.spec import read_run_spec
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()
 
 

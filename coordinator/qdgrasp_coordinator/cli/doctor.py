@@ -12,11 +12,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import typer
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 from qdgrasp_assets import catalog
 from qdgrasp_coordinator.cli import options
 from qdgrasp_protocol.errors import InputError, QdgraspError
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 PACKAGES = ("eclipse-zenoh", "pybullet", "numpy", "ribs", "trimesh", "msgpack", "coacd")
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}

@@ -18,7 +18,7 @@ from qdgrasp_protocol.spec import RunSpec, read_run_spec
 
 def run(
     spec: Annotated[
-        Path | None, typer.Argument(metavar="[SPEC.toml]", help="A spec; flags replace what it says.")
+        Path | None, typer.Argument(metavar="SPEC.toml", help="A spec; flags replace what it says.")
     ] = None,
     gripper: options.Gripper = None,
     object_: options.Object = None,

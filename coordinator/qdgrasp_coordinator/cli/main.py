@@ -1,0 +1,26 @@
+"""`qdgrasp`: the table of its commands."""
+
+import logging
+
+import typer
+
+from qdgrasp_coordinator.cli import coverage, digest, doctor, evaluate, info, resume, run
+from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.logs import speak
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Archives of diverse, robust 6-DoF grasps by quality-diversity search.",
+)
+for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evaluate, coverage.coverage):
+    app.command()(command)
+app.command()(doctor.doctor)
+
+
+def main() -> None:
+    """Entry point of `qdgrasp`."""
+    speak("qdgrasp", level=logging.WARNING)
+    run_command(app, "qdgrasp")
