@@ -218,7 +218,7 @@ class Dispatch:
     @property
     def workers(self) -> int:
         """Workers that are there and make progress."""
-        return sum(worker.is_well for worker in self._workers.values())
+        return sum(worker.gone_at is None and not worker.is_stuck for worker in self._workers.values())
 
     @property
     def queued(self) -> int:
@@ -233,9 +233,14 @@ class Dispatch:
     # Leasing.
 
     def _freest(self) -> "_Worker | None":
-        """The worker with the fewest batches among those with credit left."""
-        free = [worker for worker in self._workers.values() if worker.has_credit]
-        return min(free, key=lambda worker: len(worker.batches), default=None)
+        """The worker with the fewest batches among those with credit left; a stuck one if all are stuck.
+
+        Of equals it is the one that was quiet for longest: with it every stuck worker gets its turn.
+        """
+        here = [worker for worker in self._workers.values() if worker.gone_at is None]
+        well = [worker for worker in here if not worker.is_stuck] or here
+        free = [worker for worker in well if len(worker.batches) < worker.credit]
+        return min(free, key=lambda worker: (len(worker.batches), worker.progress), default=None)
 
     def _next_run(self, worker: "_Worker") -> "_Run | None":
         """The run that was served least; within the slack one whose scene the worker holds."""
@@ -414,19 +419,11 @@ class _Worker:
     scenes: OrderedDict[str, None] = field(default_factory=OrderedDict)
     gone_at: float | None = None
     is_stuck: bool = False
-    """It let a lease pass; it gets no work until it shows progress."""
-
-    @property
-    def is_well(self) -> bool:
-        return self.gone_at is None and not self.is_stuck
-
-    @property
-    def has_credit(self) -> bool:
-        return self.is_well and len(self.batches) < self.credit
+    """It let a lease pass; until it shows progress it gets no work, unless all are stuck."""
 
     @property
     def is_leased(self) -> bool:
-        return bool(self.batches) and self.is_well
+        return bool(self.batches) and self.gone_at is None
 
     def progressed(self, now: float) -> None:
         self.progress = now

@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.cells import cells, keys
+
+
+def test_a_cell_reaches_half_a_centimetre_to_both_sides() -> None:
+    found = cells([[0.0049, -0.0049, 0.0051], [0.1449, 0.1451, -0.3]])
+    assert found.tolist() == [[0, 0, 1], [14, 15, -30]]
+
+
+def test_cells_are_the_rounding_of_the_reference_set() -> None:
+    positions = np.random.default_rng(0).uniform(-0.4, 0.4, (10_000, 3))
+    assert np.array_equal(cells(positions) / 100, np.around(positions, 2))
+
+
+def test_float32_positions_are_widened_before_they_are_rounded() -> None:
+    position = np.array([[0.145, 0.005, 0.015]], dtype=np.float32)
+    assert np.array_equal(cells(position), cells(position.astype(np.float64)))
+
+
+def test_keys_are_equal_for_equal_cells_only() -> None:
+    grid = np.stack(np.meshgrid(*[np.arange(-12, 13)] * 3), axis=-1).reshape(-1, 3)
+    assert len(np.unique(keys(grid))) == len(grid)
+    assert np.array_equal(keys(grid), keys(grid.copy()))
+
+
+@pytest.mark.parametrize("far", [-(1 << 20), (1 << 20) - 1])
+def test_keys_hold_for_far_cells(far: int) -> None:
+    grid = np.array([[far, 0, 0], [0, far, 0], [0, 0, far], [0, 0, 0], [far, far, far]])
+    assert len(np.unique(keys(grid))) == len(grid)

@@ -1,0 +1,124 @@
+"""Whatever the bus, the workers and the machines do, a run ends with the journal of its spec."""
+
+from dataclasses import replace
+from random import Random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.coordinator.simulated import SHAPE, Plan, World, reference
+
+from qdgrasp_coordinator import outbox
+from qdgrasp_coordinator.search import METHODS, Search
+from qdgrasp_protocol.spec import RunSpec
+
+TROUBLE: dict[str, dict[str, float]] = {
+    "nothing": {},
+    "lost messages": {"loss": 0.1},
+    "repeated messages": {"repeat": 0.3},
+    "reordered messages": {"delay": 0.5},
+    "messages that come much too late": {"stall": 0.05},
+    "a simulator that fails now and then": {"hiccup": 0.2},
+    "workers whose links break": {"flap": 0.5},
+    "workers that die": {"kill": 0.5},
+    "workers that go silent": {"zombie": 0.2},
+    "a coordinator whose link breaks": {"link": 0.1},
+    "a coordinator that dies": {"crash": 0.5},
+    "a recorder that dies": {"recorder_crash": 0.3},
+    "a recorder with an older disk": {"restore": 0.3},
+}
+
+
+@pytest.fixture(autouse=True)
+def small_outbox(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bounds that small histories reach."""
+    monkeypatch.setattr(outbox, "SLICE", 4)
+    monkeypatch.setattr(outbox, "BOUND", 8)
+
+
+def varied(seed: int) -> Plan:
+    """A run of one of many shapes."""
+    chance = Random(seed)  # noqa: S311 - dice, not secrets
+    return Plan(
+        seed=seed,
+        population=chance.choice([1, 3, 6, 9]),
+        evaluations=chance.choice([1, 7, 20, 33]),
+        overlaps=chance.choice(["count", "redraw"]),
+        in_flight=chance.choice([1, 1, 2, 3]),
+        batch_size=chance.choice([None, 1, 2, 5]),
+        workers=chance.choice([1, 2, 4]),
+        credit=chance.choice([1, 2, 3]),
+    )
+
+
+@pytest.mark.parametrize("trouble", TROUBLE.values(), ids=TROUBLE)
+def test_the_journal_is_that_of_the_undisturbed_run_with(trouble: dict[str, float]) -> None:
+    for seed in range(80):
+        plan = replace(varied(seed), **trouble)
+        assert World(plan).run() == reference(plan), plan
+
+
+def sometimes(rate: float) -> st.SearchStrategy[float]:
+    return st.sampled_from([0.0, rate / 4, rate])
+
+
+@settings(
+    max_examples=600,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    st.builds(
+        Plan,
+        seed=st.integers(0, 2**32),
+        population=st.integers(1, 9),
+        evaluations=st.integers(1, 33),
+        overlaps=st.sampled_from(["count", "redraw"]),
+        in_flight=st.integers(1, 3),
+        batch_size=st.sampled_from([2, None, 1, 5]),
+        workers=st.integers(1, 4),
+        credit=st.integers(1, 3),
+        loss=sometimes(0.1),
+        repeat=sometimes(0.3),
+        stall=sometimes(0.05),
+        hiccup=sometimes(0.2),
+        flap=sometimes(0.3),
+        kill=sometimes(0.3),
+        zombie=sometimes(0.2),
+        link=sometimes(0.1),
+        crash=sometimes(0.3),
+        recorder_crash=sometimes(0.3),
+        restore=sometimes(0.2),
+    )
+)
+def test_the_journal_is_that_of_the_undisturbed_run_with_all_of_it_together(plan: Plan) -> None:
+    assert World(plan).run() == reference(plan)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_without_trouble_every_batch_is_evaluated_once(seed: int) -> None:
+    world = World(replace(varied(seed), overlaps="count"))
+    world.run()
+    assert set(world.evaluated.values()) == {1}
+    counters = world.coordinator.dispatch.counters
+    assert [counters[name] for name in ("duplicate", "late", "unknown", "foreign", "requeued")] == [0] * 5
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_methods_end_with_the_same_journal_through_all_of_it(name: str) -> None:
+    def build(population: int, seed: int) -> Search:
+        spec = RunSpec(gripper="hand", object="thing", population=population, seed=seed)
+        return METHODS[name].build(spec, SHAPE.genes, ([-0.2] * 3, [0.2] * 3))
+
+    for seed in range(10):
+        plan = Plan(
+            seed=seed,
+            population=12,
+            evaluations=60,
+            workers=3,
+            search=build,
+            **(TROUBLE["lost messages"] | TROUBLE["workers that die"] | TROUBLE["a coordinator that dies"]),
+        )
+        assert World(plan).run() == reference(plan)

@@ -1,0 +1,149 @@
+"""What every search keeps to."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.search import METHODS, Method, Search, method
+from qdgrasp_coordinator.searches.given import Given
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+from qdgrasp_protocol.spec import RunSpec
+
+GENES = 7
+SHAPE = Shape(genes=GENES, joints=2)
+BOX = (np.full(3, -0.2), np.full(3, 0.2))
+GENERATIONS = 6
+
+
+def spec(seed: int = 0) -> RunSpec:
+    return RunSpec(gripper="hand", object="thing", seed=seed, population=40)
+
+
+def evaluated(generation: int, genomes: np.ndarray) -> Rows:
+    """Rows with results that are a function of the genomes: about a third each overlap, fail, succeed."""
+    rows = SHAPE.empty(len(genomes))
+    rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
+    share = (genomes[:, 3] + 1) / 2
+    rows["outcome"] = np.searchsorted([0, 0, 0.3, 0.5, 0.7, 0.8, 0.9], share, side="right")
+    rows["fitness"] = np.maximum(rows["outcome"].astype(float) - Outcome.DROPPED, 0)
+    rows["descriptor"] = genomes[:, :3] * np.float32(0.2)
+    return rows
+
+
+def asked(search: Search) -> list[np.ndarray]:
+    """What a search asks in its first generations."""
+    all_asked = []
+    for generation in range(GENERATIONS):
+        genomes = search.ask(generation)
+        all_asked.append(genomes.copy())
+        search.tell(generation, evaluated(generation, genomes))
+    return all_asked
+
+
+@pytest.mark.parametrize("entry", METHODS.values(), ids=METHODS)
+class TestEverySearch:
+    @pytest.fixture
+    def build(self, entry: Method) -> Callable[..., Search]:
+        return lambda seed=0: entry.build(spec(seed), GENES, BOX)
+
+    def test_a_generation_has_the_population_in_float32_within_the_cube(self, build) -> None:
+        for genomes in asked(build()):
+            assert genomes.shape == (40, GENES)
+            assert genomes.dtype == np.float32
+            assert np.abs(genomes).max() <= 1
+
+    def test_the_same_seed_asks_the_same(self, build) -> None:
+        assert all(map(np.array_equal, asked(build()), asked(build())))
+
+    def test_another_seed_asks_something_else_in_every_generation(self, build) -> None:
+        assert not any(map(np.array_equal, asked(build(0)), asked(build(1))))
+
+    def test_no_generation_repeats_another(self, build) -> None:
+        genomes = [one.tobytes() for one in asked(build())]
+        assert len(set(genomes)) == GENERATIONS
+
+    def test_it_starts_uniform_over_the_cube(self, build) -> None:
+        many = np.concatenate([build(seed).ask(0) for seed in range(50)])
+        assert np.abs(many.mean(axis=0)).max() < 0.06
+        assert np.abs(many.std(axis=0) - 1 / np.sqrt(3)).max() < 0.03
+
+    def test_it_keeps_no_hold_on_the_rows_it_is_told(self, build) -> None:
+        one, other = build(), build()
+        for generation in range(3):
+            rows = evaluated(generation, one.ask(generation))
+            other.tell(generation, evaluated(generation, other.ask(generation)))
+            one.tell(generation, rows)
+            rows[:] = np.zeros((), dtype=rows.dtype)
+        assert np.array_equal(one.ask(3), other.ask(3))
+
+    def test_the_order_of_arrival_changes_nothing(self, build, entry: Method) -> None:
+        journals = []
+        for order in (np.sort, lambda values: values[::-1], np.random.default_rng(0).permutation):
+            pipeline = Pipeline(build(), SHAPE, 5 * 40 + 13, entry.overlaps)
+            journals.append(b"".join(_journal(pipeline, order)))
+        assert journals[0] == journals[1] == journals[2]
+
+    def test_its_line_in_the_table_is_complete(self, entry: Method) -> None:
+        assert entry.name.startswith(entry.prior)
+        assert "Huber" in entry.summary
+        assert entry.overlaps == "count"
+
+
+def _journal(pipeline: Pipeline, order: Callable[[np.ndarray], np.ndarray]):
+    while (generation := pipeline.ask()) is not None:
+        rows = _rows(generation)
+        for place in order(np.arange(len(rows))):
+            yield pipeline.settle(rows[place : place + 1]).rows.tobytes()
+
+
+def _rows(generation: Generation) -> Rows:
+    rows = evaluated(generation.number, generation.genomes)
+    rows["index"] = generation.indices
+    return rows
+
+
+def test_the_methods_of_the_paper_are_there() -> None:
+    assert set(METHODS) == {
+        "contact_rand",
+        "approach_rand",
+        "contact_me_rand",
+        "contact_me_scs",
+        "approach_me_scs",
+    }
+    assert all(name == entry.name for name, entry in METHODS.items())
+
+
+def test_an_unknown_method_is_refused_with_the_known_ones_named() -> None:
+    with pytest.raises(UnknownName, match=r"Unknown method 'contact_me_sc'.*'contact_me_scs'.*approach_rand"):
+        method("contact_me_sc")
+
+
+@pytest.mark.parametrize("n", [1, 9, 10, 11, 25])
+def test_given_poses_are_asked_once_each_in_their_order(n: int) -> None:
+    poses = np.arange(n * 7, dtype=np.float32).reshape(n, 7)
+    search = Given(poses, population=10)
+    generations = [search.ask(number) for number in range(5)]
+    assert max(map(len, generations)) <= 10
+    assert np.array_equal(np.concatenate(generations), poses)
+
+
+def test_a_pipeline_of_given_poses_ends_with_the_last_one() -> None:
+    poses = np.arange(25 * 7, dtype=np.float32).reshape(25, 7)
+    pipeline = Pipeline(Given(poses, population=10), SHAPE, 25, "count", generations_in_flight=2)
+    rows = []
+    while (generation := pipeline.ask()) is not None:
+        rows.append(pipeline.settle(_rows(generation)).rows)
+    assert np.array_equal(np.concatenate(rows)["genome"], poses)
+    assert pipeline.finished == "the budget of 25 evaluations is spent"
+
+
+def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget() -> None:
+    pipeline = Pipeline(Given(np.zeros((5, 7), np.float32), population=10), SHAPE, 6, "count")
+    generation = pipeline.ask()
+    assert generation is not None
+    assert len(pipeline.settle(_rows(generation))) == 5
+    assert pipeline.finished == "the search has nothing left to ask"

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.tally import BARREN, Tally, counted, tally
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+from qdgrasp_protocol.spec import RunSpec
+
+SHAPE = Shape(genes=2, joints=1)
+
+
+def rows(*outcomes: Outcome, generation: int = 0) -> Rows:
+    made = SHAPE.empty(len(outcomes))
+    made["generation"], made["index"] = generation, np.arange(len(outcomes))
+    made["outcome"] = outcomes
+    made["proposals"] = 3
+    return made
+
+
+def test_count_takes_every_nominal_row_and_redraw_the_simulated_ones() -> None:
+    every = rows(*Outcome)
+    assert counted(every, "count").all()
+    assert [Outcome(value) for value in every["outcome"][counted(every, "redraw")]] == [
+        outcome for outcome in Outcome if outcome.is_simulated
+    ]
+
+
+@pytest.mark.parametrize("overlaps", ["count", "redraw"])
+def test_randomised_trials_never_count(overlaps) -> None:
+    trials = rows(Outcome.HELD, Outcome.HELD, Outcome.HELD)
+    trials["trial"] = [0, 1, 100]
+    assert counted(trials, overlaps).tolist() == [True, False, False]
+    total = Tally(10, overlaps)
+    total.count(trials)
+    assert (total.rows, total.evaluations, total.successes, total.proposals) == (3, 1, 1, 3)
+
+
+def test_every_outcome_is_counted_where_it_belongs() -> None:
+    total = Tally(100, "redraw")
+    total.count(rows(*Outcome))
+    total.count(rows(*Outcome, generation=1))
+    figures = (total.errors, total.dead_ends, total.overlaps, total.simulated, total.successes)
+    assert figures == (2, 2, 2, 10, 6)
+    assert (total.grasps, total.robust, total.rows, total.evaluations) == (4, 2, 16, 10)
+    assert total.proposals == 48
+
+
+def test_cells_are_those_of_successes_each_once() -> None:
+    found = rows(Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.BRUSHED)
+    found["descriptor"] = [[0.1, 0, 0], [0.104, 0, 0], [0.1, 0.01, 0], [0.2, 0, 0]]
+    total = Tally(100, "count")
+    total.count(found)
+    total.count(found)
+    assert total.cells == 2
+
+
+def test_a_run_is_over_when_its_budget_is_spent() -> None:
+    total = Tally(3, "redraw")
+    total.count(rows(Outcome.HELD, Outcome.OVERLAP, Outcome.MISSED))
+    assert (total.left, total.finished) == (1, None)
+    total.count(rows(Outcome.MISSED))
+    assert total.finished == "the budget of 3 evaluations is spent"
+
+
+def blocks(*generations: Rows, size: int) -> list[Rows]:
+    journal = np.concatenate(generations)
+    return [journal[first : first + size] for first in range(0, len(journal), size)]
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 7, 1000])
+@pytest.mark.parametrize(("barren", "is_over"), [(BARREN - 1, False), (BARREN, True)])
+def test_a_journal_tells_that_the_last_generations_counted_nothing(
+    size: int, barren: int, is_over: bool
+) -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=3, overlaps="redraw")
+    good = rows(Outcome.MISSED, Outcome.OVERLAP, Outcome.OVERLAP)
+    bad = [rows(*[Outcome.OVERLAP] * 3, generation=1 + number) for number in range(barren)]
+    total = tally(spec, blocks(good, *bad, size=size))
+    assert total.finished == ("the last 20 generations counted no evaluation" if is_over else None)
+
+
+def test_a_success_between_them_begins_the_count_anew() -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=1, overlaps="redraw")
+    outcomes = [Outcome.OVERLAP] * 15 + [Outcome.MISSED] + [Outcome.OVERLAP] * 15
+    generations = [rows(outcome, generation=number) for number, outcome in enumerate(outcomes)]
+    assert tally(spec, blocks(*generations, size=4)).finished is None
+
+
+def test_an_unfinished_generation_is_not_taken_for_a_barren_one() -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=2, overlaps="redraw")
+    bad = [rows(*[Outcome.OVERLAP] * 2, generation=number) for number in range(BARREN)]
+    assert tally(spec, blocks(*bad, size=5)).finished is not None
+    assert tally(spec, blocks(*bad[:-1], bad[-1][:1], size=5)).finished is None
