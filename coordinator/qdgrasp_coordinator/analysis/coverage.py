@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
-from qdgrasp_coordinator.cells import cells
+from qdgrasp_coordinator.cells import cells, keys
 
 
 class Coverage(Struct, frozen=True, kw_only=True):
@@ -92,13 +92,7 @@ def _released(
 
 def _shared(positions: NDArray[np.int64], reference: ReferenceSet) -> int:
     """How many of `positions` (n, 3) are cells of the set; repeated ones count repeatedly."""
-    return int(np.isin(_keys(positions), _keys(reference.cells)).sum())
-
-
-def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each cell (n, 3); distinct within 10 km."""
-    keys: NDArray[np.int64] = (cells + 2**20) @ np.array([1, 2**21, 2**42])
-    return keys
+    return int(np.isin(keys(positions), keys(reference.cells)).sum())
 
 
 def _ratio(found: int | None, size: int) -> float | None:

@@ -1,0 +1,194 @@
+"""The two views of a picture: hands on the object, and cells around it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, map_coordinates
+
+from qdgrasp_assets.mesh import Mesh, join
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.analysis.choice import well_spread
+from qdgrasp_coordinator.analysis.hand import hand
+from qdgrasp_coordinator.analysis.layers import FINE, Image
+from qdgrasp_coordinator.analysis.light import lit, open_light
+from qdgrasp_coordinator.analysis.rays import Camera, Floats, Solid, camera
+from qdgrasp_coordinator.cells import PER_METRE, cells, keys
+from qdgrasp_protocol.rows import Rows
+
+AZIMUTH, ELEVATION = np.radians(-52.0), np.radians(26.0)
+CLAY = "#f7e6ca"
+"""The object."""
+HUES = (
+    "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
+)  # fmt: skip
+"""Hands, in turn: the first far from the second; neighbours are told apart with any colour vision."""
+FITNESS = ("#bdb7ad", "#f2a431", "#2a73b9")
+"""Cells, by their best fitness: 0, 1, 2."""
+FADE = 0.06
+"""A palm fades with its distance from the object, to 1/e of itself at this one [m]."""
+CUBE = 0.0072
+"""Edge of the cube that stands for a cell [m]; less than a cell, so that they stay apart."""
+CUT_OPEN = 600
+"""With more cells than this, those toward the viewer's right are left out, so that one sees inside."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """One shape of a hand that is drawn."""
+
+    mesh: Mesh
+    hue: Floats
+    """(3,) RGB."""
+    finger: bool
+
+
+@dataclass(frozen=True)
+class View:
+    """What is drawn, and from where it is seen."""
+
+    image: Floats
+    """(pixels, pixels, 3) in [0, 1]."""
+    camera: Camera
+    """With `FINE` rays for each pixel, along each side."""
+    shown: Rows
+    """The successes that are in it."""
+    whole: bool = True
+    """Whether nothing was left out to let one see inside."""
+
+
+def view_of_hands(scene: Scene, successes: Rows, pixels: int) -> View:
+    """The object with a few well-spread grasps on it."""
+    thing = object_mesh(scene)
+    chosen = well_spread(successes, np.array(scene.gripper.approach_axis), _camera([thing], pixels))
+    links = list(_links(scene, chosen))
+    image = Image(_camera([thing, *(link.mesh for link in links)], pixels))
+    _paint_solid(image, Solid(thing), _rgb(CLAY))
+    distance = Distance(thing)
+    for link in links:
+        _paint_link(image, link, distance)
+    return View(image.finished(), image.camera, chosen)
+
+
+def view_of_cells(scene: Scene, best: Rows, pixels: int) -> View:
+    """The object, and a cube for the cell of each of the rows `best`, which are in distinct cells."""
+    places, fitness = cells(best["descriptor"]), np.clip(best["fitness"], 0, 2).astype(int)
+    thing = object_mesh(scene)
+    image = Image(_camera([thing, _cubes(places)], pixels))
+    right, _, toward = image.camera.seen(places / PER_METRE).T
+    kept = (right < 0) | (toward < 0) | (len(places) <= CUT_OPEN)
+    cubes = np.array([_rgb(colour) for colour in FITNESS])[np.repeat(fitness[kept], len(CUBE_FACES))]
+    clay = np.tile(_rgb(CLAY), (len(thing.faces), 1))
+    _paint_solid(image, Solid(join([thing, _cubes(places[kept])])), np.concatenate([clay, cubes]))
+    return View(image.finished(), image.camera, best, bool(kept.all()))
+
+
+def best_in_cells(successes: Rows) -> Rows:
+    """The fittest success in each cell, of equals the first."""
+    ordered = successes[np.argsort(-successes["fitness"], kind="stable")]
+    _, first = np.unique(keys(cells(ordered["descriptor"])), return_index=True)
+    return ordered[first]
+
+
+def object_mesh(scene: Scene) -> Mesh:
+    """The object's surface, CoM frame."""
+    vertices = np.frombuffer(scene.object.mesh_vertices, "<f4").reshape(-1, 3)
+    faces = np.frombuffer(scene.object.mesh_faces, "<u4").reshape(-1, 3)
+    return Mesh(vertices.astype(np.float64), faces.astype(np.int64))
+
+
+class Distance:
+    """How far points are from the surface of a mesh, to half a step of a grid; constant beyond its reach."""
+
+    STEP = 0.006
+    REACH = 0.15
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.low = mesh.vertices.min(axis=0) - self.REACH
+        high = mesh.vertices.max(axis=0) + self.REACH
+        free = np.ones(np.ceil((high - self.low) / self.STEP).astype(int) + 1, dtype=bool)
+        free[tuple(np.rint((_sampled(mesh, self.STEP) - self.low) / self.STEP).astype(int).T)] = False
+        self.grid = distance_transform_edt(free, sampling=self.STEP)
+
+    def __call__(self, points: Floats) -> Floats:
+        """(n,) [m] for points (n, 3)."""
+        place = ((points - self.low) / self.STEP).T
+        distance: Floats = map_coordinates(self.grid, place, order=1, mode="nearest", output=np.float32)
+        return distance
+
+
+def _sampled(mesh: Mesh, step: float) -> NDArray[np.float64]:
+    """Points (n, 3) on its surface; neighbours on one triangle are at most `step` apart [m]."""
+    corners = mesh.corners
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    counts = np.ceil(sides / step).astype(int)
+    return np.concatenate([_on_triangles(corners[counts == n], n) for n in np.unique(counts)])
+
+
+def _on_triangles(corners: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """The points of a triangular grid with `n` steps along each side, of each triangle (t, 3, 3)."""
+    u, v = (share.ravel() / n for share in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+    weights = np.stack([1 - u - v, u, v], axis=1)[u + v < 1 + 1e-6]
+    points: NDArray[np.float64] = np.einsum("wk,tkx->twx", weights, corners).reshape(-1, 3)
+    return points
+
+
+def _links(scene: Scene, chosen: Rows) -> Iterator[Link]:
+    drawn = hand(scene.gripper)
+    for turn, row in enumerate(chosen):
+        hue = _rgb(HUES[turn % len(HUES)])
+        for shape, vertices in drawn.posed(row["base_to_object"].astype(float), row["joints"].astype(float)):
+            yield Link(Mesh(vertices, shape.faces), hue, shape.finger)
+
+
+def _camera(meshes: list[Mesh], pixels: int) -> Camera:
+    points = np.concatenate([mesh.vertices for mesh in meshes])
+    return camera(points, AZIMUTH, ELEVATION, FINE * pixels, FINE * pixels)
+
+
+def _paint_solid(image: Image, solid: Solid, colour: Floats) -> None:
+    """Paint it in one colour (3,) or one for each face (f, 3)."""
+    hits = solid.seen_by(image.camera)
+    light = 0.14 + 0.92 * lit(hits, solid, image.camera) ** 0.7
+    base = colour if colour.ndim == 1 else colour[hits.faces]
+    image.add_solid(hits, np.clip(base * light[:, None], 0, 1))
+
+
+def _paint_link(image: Image, link: Link, distance: Distance) -> None:
+    """Fingers nearly solid, the palm like glass that fades away from the object and shows its edges."""
+    hits = Solid(link.mesh).seen_by(image.camera)
+    edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
+    near = np.exp(-((distance(hits.points) / FADE) ** 2))
+    light = open_light(hits.normals, image.camera)[:, None]
+    shaded = link.hue * (0.55 + 0.5 * light)
+    if link.finger:
+        image.add_veil(hits, _paler(shaded, 0.2), np.clip(0.58 + 0.32 * near + 0.1 * edge, 0, 0.95))
+    else:
+        image.add_veil(hits, _paler(shaded, 0.35), 0.05 + 0.15 * near + 0.38 * edge)
+
+
+def _paler(colour: Floats, share: float) -> Floats:
+    paler: Floats = np.clip(colour + (1 - colour) * share, 0, 1)
+    return paler
+
+
+def _cubes(places: NDArray[np.integer]) -> Mesh:
+    """A cube around the middle of each cell (n, 3)."""
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T * CUBE / 2
+    vertices = (places[:, None] / PER_METRE + corners).reshape(-1, 3)
+    return Mesh(vertices, (8 * np.arange(len(places))[:, None, None] + CUBE_FACES).reshape(-1, 3))
+
+
+CUBE_FACES = np.array(
+    [
+        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+    ]
+)  # fmt: skip
+"""Triangles of a cube whose corners are counted with z fastest."""
+
+
+def _rgb(colour: str) -> Floats:
+    return np.array(to_rgb(colour), dtype=np.float32)
