@@ -9,15 +9,17 @@ keep the elder.
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from ribs.archives import GridArchive
 
 from qdgrasp_coordinator.cells import cells
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
+
+if TYPE_CHECKING:
+    from ribs.archives import GridArchive
 
 FAILED = -1.0
 """The objective of a valid pose that is no success: below every success, whose objective is its fitness."""
@@ -90,8 +92,10 @@ def _objectives(valid: Rows) -> NDArray[np.float32]:
     return np.where(success, valid["fitness"], np.float32(FAILED))
 
 
-def _grid(genes: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> GridArchive:
+def _grid(genes: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> "GridArchive":
     """A pyribs archive whose measures are cells, so that its bins are exactly ours."""
+    from ribs.archives import GridArchive  # takes 1-2 s, which only a process that searches should pay
+
     return GridArchive(
         solution_dim=genes,
         dims=high - low + 1,

@@ -167,8 +167,8 @@ class CoordinatorService:
                 raise EndedEarly(f"The recorder has {durable} rows but shows none from {position} on.")
             self._pipeline.replay(stretch.rows)
             position = stretch.stop
+            self._replayed = self._pipeline.tally.evaluations
             self._publish_figures(time.monotonic())
-        self._replayed = self._pipeline.tally.evaluations
 
     def _step(self) -> None:
         """Hear what came, then do everything that is possible now."""
