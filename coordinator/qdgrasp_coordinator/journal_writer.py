@@ -13,7 +13,7 @@ from qdgrasp_coordinator.cells import cells
 from qdgrasp_coordinator.journal import Journal
 from qdgrasp_coordinator.journal_format import FILE, Identity, lay_out, readable
 from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_protocol.errors import DiskFull
+from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.outcome import Outcome
 
 NO_ROOM = {
@@ -83,6 +83,8 @@ class JournalWriter(Journal):
         ------
         DiskFull
             There is no room; nothing was added.
+        FolderError
+            The file cannot be written for another reason; nothing was added.
         ValueError
             These are not the next rows.
         """
@@ -135,10 +137,10 @@ def _successes(stretch: Stretch) -> list[tuple[float, ...]]:
 
 @contextmanager
 def _fitting(folder: Path) -> Iterator[None]:
-    """Tell a write that found no room from every other failure."""
+    """Say in a sentence why nothing can be written, and tell a full disk from every other failure."""
     try:
         yield
     except sqlite3.OperationalError as error:
         if error.sqlite_errorcode in NO_ROOM:
             raise DiskFull(f"There is no room to write in {folder}: {error}.") from None
-        raise
+        raise FolderError(f"{folder} cannot be written: {error}.") from None

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from qdgrasp_protocol.messages import Failure
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Failure, Recordable
+from qdgrasp_protocol.rows import COLUMNS, Rows, Shape, pack, unpack
 
 
 @dataclass(frozen=True)
@@ -56,3 +57,36 @@ def joined(stretches: Sequence[Stretch]) -> Stretch:
     )
     rows = np.concatenate([stretch.rows for stretch in stretches])
     return Stretch(first, rows, sum(stretch.cpu_seconds for stretch in stretches), failures)
+
+
+def to_message(stretch: Stretch, run: str, epoch: int, shape: Shape) -> Recordable:
+    """A stretch of a run's journal as it travels."""
+    return Recordable(
+        epoch=epoch,
+        run=run,
+        first=stretch.first,
+        n=len(stretch),
+        genes=shape.genes,
+        joints=shape.joints,
+        descriptors=shape.descriptors,
+        columns=pack(stretch.rows, COLUMNS),
+        cpu_seconds=stretch.cpu_seconds,
+        failures=list(stretch.failures),
+    )
+
+
+def from_message(message: Recordable, shape: Shape) -> Stretch:
+    """The stretch in a message.
+
+    Raises
+    ------
+    MessageError
+        Its rows are not of this shape, or it tells of a failure in a row that it does not hold.
+    """
+    came = Shape(message.genes, message.joints, message.descriptors)
+    if came != shape:
+        raise MessageError(f"expected rows of {shape}, got {came}")
+    if any(failure.row >= message.n for failure in message.failures):
+        raise MessageError(f"a failure in a row behind its last, {message.n - 1}")
+    rows = unpack(shape.empty(message.n), COLUMNS, message.columns, shape)
+    return Stretch(message.first, rows, message.cpu_seconds, tuple(message.failures))

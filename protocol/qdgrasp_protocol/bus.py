@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import Enum
+from typing import Self
 
 import structlog
 
@@ -142,7 +143,7 @@ class Bus(ABC):
     def close(self) -> None:
         """Close the session and everything it declared; closing twice is allowed."""
 
-    def __enter__(self) -> "Bus":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,0 +1,47 @@
+"""`qdgrasp-recorder`: the process that writes a run's journal."""
+
+import signal
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.recorder import RecorderService
+from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.logs import speak
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def recorder(
+    job: Annotated[str, typer.Option(help="Name of the job on the bus.")],
+    out: Annotated[Path, typer.Option(help="The run's folder; begun where there is none.")],
+    connect: Annotated[str, typer.Option(help="Endpoint of the router.")] = "tcp/127.0.0.1:7447",
+    disk_wait: options.DiskWait = 60.0,
+    wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
+) -> None:
+    """Write what a job finds to a run's folder, and tell its coordinator what is safe on the disk.
+
+    The folder must not be on a network file system. One recorder at a time writes in it.
+
+    Example: qdgrasp-recorder --connect tcp/head-node:7447 --job mugs --out runs/mugs
+    """
+    with lifetime(f"qdgrasp-recorder {job}") as stop:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a file at its size limit is a full disk, not a death
+        speak("recorder")
+        with ZenohBus.connect(connect, wait, stop) as bus:
+            RecorderService(bus, stop, job=job, path=out, disk_wait=disk_wait).run()
+    raise typer.Exit(stop.exit_code)
+
+
+def main() -> None:
+    """Entry point of `qdgrasp-recorder`."""
+    run_command(app, "qdgrasp-recorder")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""Scene bundles on the bus: content-addressed, one query per chunk (PROTOCOL.md, keys)."""
+
+import hashlib
+
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.bus import Bus, Query
+from qdgrasp_protocol.errors import MessageError, Refused
+from qdgrasp_protocol.keys import Keys, last_chunk
+from qdgrasp_protocol.messages import Chunk
+
+SIZE = 512 << 10
+"""Bytes of a bundle in one answer."""
+
+
+def answer(query: Query, payload: bytes, digest: str) -> bytes:
+    """The chunk of a bundle that a query names by `i=<number>`.
+
+    Raises
+    ------
+    Refused
+        It asks for another bundle, or for a chunk that this one does not have.
+    """
+    if last_chunk(query.key) != digest:
+        raise Refused("no such scene here")
+    total = max(1, -(-len(payload) // SIZE))
+    number = query.parameters.removeprefix("i=")
+    if not (number.isascii() and number.isdigit()) or int(number) >= total:
+        raise Refused(f"chunk '{query.parameters}' is not one of {total}")
+    start = int(number) * SIZE
+    return codec.encode(Chunk(total=total, data=payload[start : start + SIZE]))
+
+
+def fetch(bus: Bus, job: str, digest: str) -> bytes:
+    """All bytes of a bundle, from the coordinator of a job.
+
+    Raises
+    ------
+    NoReply, Refused
+        The coordinator does not answer, or has no such scene.
+    MessageError
+        What came is not the scene of that digest.
+    """
+    key = Keys(job).asset(digest)
+    first = codec.decode(bus.ask(key, parameters="i=0"), Chunk)
+    rest = [codec.decode(bus.ask(key, parameters=f"i={i}"), Chunk).data for i in range(1, first.total)]
+    payload = b"".join([first.data, *rest])
+    if hashlib.sha256(payload).hexdigest() != digest:
+        raise MessageError(f"the scene that came is not {digest[:12]}")
+    return payload
