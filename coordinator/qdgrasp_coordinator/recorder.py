@@ -5,6 +5,7 @@ One thread does everything; callbacks of the bus only fill its inbox.
 
 import secrets
 import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
@@ -64,6 +65,7 @@ class RecorderService:
         self._path = path
         self._disk_wait = disk_wait
         self._inbox: SimpleQueue[Sample | Question | None] = SimpleQueue()
+        self._untaken: Counter[Verdict] = Counter()
         self._full_since: float | None = None
         self._trouble = ""
         self._try_at = 0.0
@@ -133,8 +135,8 @@ class RecorderService:
     def _take_rows(self, message: Recordable) -> None:
         verdict = self._ledger.take(message, time.monotonic())
         if verdict is not Verdict.TAKEN:
+            self._untaken[verdict] += message.n
             self._report_at = 0.0
-            log.info("rows not taken", reason=verdict.value, first=message.first, rows=message.n)
 
     def _take_platform(self, message: Platform) -> None:
         if message.epoch >= self._ledger.intake.epoch:
@@ -205,6 +207,9 @@ class RecorderService:
     def _report(self, now: float) -> None:
         """Tell the coordinator what is durable."""
         self._report_at = now + REPORT_INTERVAL
+        for verdict, rows in self._untaken.items():
+            log.info("rows not taken", reason=verdict.value, rows=rows)
+        self._untaken.clear()
         if not self._ledger.is_open:
             return
         intake, run = self._ledger.intake, self._ledger.journal.run

@@ -24,5 +24,8 @@ def run_command(app: typer.Typer, name: str) -> None:
 
 
 def _said(name: str, sentence: str, code: int) -> int:
-    print(f"{name}: {sentence}", file=sys.stderr)  # noqa: T201 - the one place that speaks without a logger
+    try:
+        print(f"{name}: {sentence}", file=sys.stderr, flush=True)  # noqa: T201 - speaks without a logger
+    except OSError:
+        sys.stderr = None  # a full disk: nothing may be left to flush at the exit
     return code

@@ -1,9 +1,26 @@
 """How a process speaks: sentences with fields on standard error; a person reads one, a machine the other."""
 
 import logging
+import os
 import sys
+from contextlib import suppress
+from typing import TextIO, cast
 
 import structlog
+
+STANDARD_ERROR = 2
+
+
+class Voice:
+    """Standard error without a buffer; what is said on a full disk is lost, and nobody dies of it."""
+
+    def write(self, text: str) -> None:
+        """Say it now or never."""
+        with suppress(OSError):
+            os.write(STANDARD_ERROR, text.encode(errors="replace"))
+
+    def flush(self) -> None:
+        """Nothing waits."""
 
 
 def speak(role: str, *, level: int = logging.INFO) -> None:
@@ -16,6 +33,6 @@ def speak(role: str, *, level: int = logging.INFO) -> None:
             structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty(), pad_event_to=0),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
-        logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
+        logger_factory=structlog.PrintLoggerFactory(file=cast(TextIO, Voice())),
     )
     structlog.contextvars.bind_contextvars(role=role)

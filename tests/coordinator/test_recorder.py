@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import IO
 
 import numpy as np
 import pytest
@@ -439,10 +440,12 @@ class TestCommand:
             yield bus
 
     @contextmanager
-    def process(self, endpoint: str, path: Path, *more: str) -> Iterator["subprocess.Popen[bytes]"]:
+    def process(
+        self, endpoint: str, path: Path, *more: str, stderr: IO[bytes] | int = subprocess.PIPE
+    ) -> Iterator["subprocess.Popen[bytes]"]:
         arguments = ["--connect", endpoint, "--job", JOB, "--out", str(path), *more]
         command = [sys.executable, "-m", "qdgrasp_coordinator.cli.recorder", *arguments]
-        with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
+        with subprocess.Popen(command, stderr=stderr) as process:
             try:
                 yield process
             finally:
@@ -497,6 +500,20 @@ class TestCommand:
             _, said = process.communicate(timeout=SOON)
         assert process.returncode == 2
         assert said.startswith(f"qdgrasp-recorder: Nothing answers at {endpoint}".encode())
+
+    def test_a_log_on_a_full_disk_changes_nothing(
+        self, endpoint: str, router: ZenohBus, folder: RunFolder
+    ) -> None:
+        coordinator = Coordinator(router)
+        with Path("/dev/full").open("wb") as full:
+            with self.process(endpoint, folder.path, stderr=full) as process:
+                coordinator.open()
+                coordinator.send(make_rows(10), 0, 10)
+                coordinator.hears_durable(10)
+                process.terminate()
+                assert process.wait(SOON) == 143
+            with folder.lock(), self.process(endpoint, folder.path, stderr=full) as process:
+                assert process.wait(SOON) == 2
 
     def test_two_recorders_of_one_folder_are_one_too_many(
         self, endpoint: str, router: ZenohBus, folder: RunFolder
