@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
+from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.quiet import quiet
 
 with quiet():
@@ -76,14 +77,21 @@ class Bullet:
             self._client = -1
 
     def load(self, urdf: Path, *, fixed: bool) -> int:
-        """Load a URDF's bodies without its visual shapes; its inertias are those of the collision shapes."""
-        with quiet():
-            body: int = pb.loadURDF(
-                str(urdf),
-                useFixedBase=fixed,
-                flags=pb.URDF_IGNORE_VISUAL_SHAPES,
-                physicsClientId=self._client,
-            )
+        """Load a URDF without its visual shapes; its inertias are those of the collision shapes.
+
+        Raises
+        ------
+        AssetError
+            Bullet cannot read it, or a mesh that it names.
+        """
+        flags = pb.URDF_IGNORE_VISUAL_SHAPES
+        try:
+            with quiet():
+                body: int = pb.loadURDF(
+                    str(urdf), useFixedBase=fixed, flags=flags, physicsClientId=self._client
+                )
+        except pb.error as error:
+            raise AssetError(f"Bullet cannot load '{urdf.name}' or a mesh that it names: {error}") from None
         return body
 
     def links(self, body: int) -> list[Link]:

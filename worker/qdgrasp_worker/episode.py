@@ -76,7 +76,7 @@ class Episode:
         return {contact.link for contact in self.world.contacts()} & self.world.finger_links
 
     def _penetration(self) -> float:
-        return max(0.0, *(-contact.distance for contact in self.world.contacts()))
+        return max([0.0, *(-contact.distance for contact in self.world.contacts())])
 
     def _shakes_survived(self) -> int:
         """Shake the hand; how many of the shakes the object stays in touch with it."""

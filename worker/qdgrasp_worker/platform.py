@@ -13,6 +13,7 @@ import qdgrasp_protocol.genome
 import qdgrasp_protocol.outcome
 import qdgrasp_protocol.rows
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
@@ -28,7 +29,8 @@ CONTRACTS = (
 """Modules of other rooms that an evaluation reads its input by and writes its result by."""
 PROBES = 16
 PROBE_GRASPS = 6
-"""Probes that look straight at the surface from near by, so that they reach the shakes."""
+PROBE_AIM = (-1.0, -0.5)
+"""Genes nu and d of the first probes: straight above the surface, so near that they reach the shakes."""
 
 
 def platform() -> dict[str, str]:
@@ -57,14 +59,18 @@ def code_digest() -> str:
 
 def probe_digest() -> str:
     """sha256 over the result bytes of the probes, some of which reach the shakes."""
-    scene = build_scene(RunSpec(gripper="panda", object="tennis_ball"))
-    with Evaluator(scene) as evaluator:
+    with Evaluator(probe_scene()) as evaluator:
         rows = evaluator.evaluate("approach", probes(), np.zeros(PROBES, dtype=np.uint16)).rows
     return hashlib.sha256(b"".join(pack(rows, RESULT).values())).hexdigest()
+
+
+def probe_scene() -> Scene:
+    """The built-in Panda over the built-in tennis ball."""
+    return build_scene(RunSpec(gripper="panda", object="tennis_ball"))
 
 
 def probes() -> NDArray[np.float32]:
     """The genomes (16, 7) of the probes, of the prior approach."""
     genomes = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, 7)).astype(np.float32)
-    genomes[:PROBE_GRASPS, 3:5] = -1.0  # nu and d at their least
+    genomes[:PROBE_GRASPS, 3:5] = PROBE_AIM
     return genomes

@@ -52,5 +52,5 @@ SHAKES = (
 RELEASED = EvaluationProtocol(
     "released", SHAKES, look_every=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
 )
-PAPER = EvaluationProtocol("paper", SHAKES, look_every=4, ends_when_lost=True, free_joints_first=True)
+PAPER = EvaluationProtocol("paper", SHAKES, look_every=1, ends_when_lost=True, free_joints_first=True)
 PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED)}

@@ -1,0 +1,175 @@
+"""The ladder of outcomes, climbed in a world whose contacts are written down."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import pytest
+
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_worker.bullet import Contact
+from qdgrasp_worker.episode import Episode, Verdict
+from qdgrasp_worker.grasp import NO_SYNERGY, Pose
+from qdgrasp_worker.protocols import CLOSING_STEPS, PAPER, PROTOCOLS, RELEASED, TARGET_STEPS
+
+PALM, FINGER, OTHER_FINGER = 5, 6, 7
+POSE = Pose([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0], [0.04, 0.03], NO_SYNERGY)
+SHAKE_STEPS = 3 * TARGET_STEPS
+SHAKE_A = CLOSING_STEPS
+SHAKE_B = CLOSING_STEPS + SHAKE_STEPS
+END = CLOSING_STEPS + 2 * SHAKE_STEPS
+
+
+@dataclass
+class WrittenWorld:
+    """Says what touches what after so many steps, and remembers what it was told to do."""
+
+    touching: Callable[[int], list[Contact]]
+    left_at: int = 10_000
+    """The step at which the object is out of reach."""
+    steps: int = 0
+    told: list[object] = field(default_factory=list)
+    finger_links: frozenset[int] = frozenset({FINGER, OTHER_FINGER})
+    opened: tuple[float, ...] = (0.04, 0.04)
+
+    def reset(self, pose, posture):
+        self.told.append(("reset", list(posture)))
+
+    def set_fingers(self, posture):
+        self.told.append(("fingers", list(posture)))
+
+    def close_fingers(self, synergy):
+        self.told.append(("close", synergy))
+
+    def shake_to(self, target, shake):
+        self.told.append((shake.joint, round(target, 3), self.steps))
+
+    def step(self):
+        self.steps += 1
+
+    def contacts(self):
+        self.told.append("looked")
+        return self.touching(self.steps)
+
+    def is_touching(self):
+        return bool(self.touching(self.steps))
+
+    def has_lost_object(self, pose):
+        return self.steps >= self.left_at
+
+    def fingers(self):
+        return [0.01, 0.02]
+
+
+def during(first: int, last: int, *contacts: Contact) -> Callable[[int], list[Contact]]:
+    return lambda step: list(contacts) if first <= step <= last else []
+
+
+def run(world: WrittenWorld, protocol=PAPER) -> Verdict:
+    return Episode(world, protocol).run(POSE)
+
+
+GRIP = (Contact(FINGER, -0.002), Contact(OTHER_FINGER, -0.003))
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS.values(), ids=lambda protocol: protocol.name)
+class TestEveryProtocol:
+    def test_a_hand_inside_the_object_overlaps_and_nothing_moves(self, protocol):
+        world = WrittenWorld(during(0, END, Contact(PALM, -1e-6)))
+        assert run(world, protocol) == Verdict(Outcome.OVERLAP, POSE.joints)
+        assert world.steps == 0
+
+    def test_a_contact_at_a_distance_is_no_overlap(self, protocol):
+        world = WrittenWorld(during(0, 0, Contact(PALM, 1e-6)))
+        assert run(world, protocol).outcome == Outcome.MISSED
+
+    def test_a_hand_that_closes_on_nothing_missed(self, protocol):
+        world = WrittenWorld(during(-1, -1))
+        assert run(world, protocol) == Verdict(Outcome.MISSED, POSE.joints)
+        assert world.steps == CLOSING_STEPS
+
+    def test_a_palm_alone_touches_nothing(self, protocol):
+        world = WrittenWorld(during(1, END, Contact(PALM, -0.001)))
+        assert run(world, protocol).outcome == Outcome.MISSED
+
+    @pytest.mark.parametrize("step", [0, 1, 50, CLOSING_STEPS - 1])
+    def test_a_finger_that_touches_at_any_step_of_closing_but_not_after_it_brushed(self, protocol, step):
+        world = WrittenWorld(during(step, step, Contact(FINGER, 0.001)))
+        assert run(world, protocol) == Verdict(Outcome.BRUSHED, POSE.joints)
+
+    def test_a_finger_that_touches_only_after_closing_is_a_success(self, protocol):
+        world = WrittenWorld(during(CLOSING_STEPS, CLOSING_STEPS, Contact(FINGER, -0.001)))
+        assert run(world, protocol).outcome == Outcome.DROPPED
+
+    def test_an_object_held_through_both_shakes_is_held(self, protocol):
+        verdict = run(WrittenWorld(during(20, END, *GRIP)), protocol)
+        assert verdict == Verdict(Outcome.HELD, [0.01, 0.02], contacts=2, penetration=0.003)
+        assert verdict.fitness == 2
+
+    def test_a_palm_is_enough_to_hold_through_a_shake(self, protocol):
+        def touching(step):
+            return list(GRIP) if 20 <= step <= CLOSING_STEPS else during(20, END, Contact(PALM, 0.0))(step)
+
+        assert run(WrittenWorld(touching), protocol).outcome == Outcome.HELD
+
+    def test_an_object_lost_in_the_second_shake_is_shaken(self, protocol):
+        assert run(WrittenWorld(during(20, SHAKE_B, *GRIP)), protocol).outcome == Outcome.SHAKEN
+
+    def test_an_object_that_is_out_of_reach_ends_the_closing(self, protocol):
+        world = WrittenWorld(during(3, 6, Contact(FINGER, -0.001)), left_at=23)
+        assert run(world, protocol).outcome == Outcome.BRUSHED
+        assert 23 <= world.steps < 30
+
+    def test_a_finger_link_counts_once_however_many_contacts_it_has(self, protocol):
+        world = WrittenWorld(during(20, END, *GRIP, *GRIP, Contact(PALM, -0.01)))
+        verdict = run(world, protocol)
+        assert (verdict.contacts, verdict.penetration) == (2, 0.01)
+
+    def test_a_success_without_penetration_has_none(self, protocol):
+        assert run(WrittenWorld(during(20, END, Contact(FINGER, 0.002))), protocol).penetration == 0.0
+
+    def test_shakes_go_there_and_back_again_68_steps_each(self, protocol):
+        world = WrittenWorld(during(20, END, *GRIP))
+        run(world, protocol)
+        shaken = [told for told in world.told if told[0] in ("z", "x")]
+        assert [(joint, target) for joint, target, _ in shaken] == [
+            *[("z", target) for target in (0.2, -0.2, 0.0)],
+            *[("x", target) for target in (0.785, -0.785, 0.0)],
+        ]
+        assert [step for *_, step in shaken] == [CLOSING_STEPS + 68 * i for i in range(6)]
+        assert world.steps == END
+
+
+def gap(first: int, last: int) -> Callable[[int], list[Contact]]:
+    """A grip that is lost from step `first` to `last`."""
+    return lambda step: [] if step < 20 or first <= step <= last else list(GRIP)
+
+
+class TestPaper:
+    def test_contact_lost_for_a_single_step_ends_the_shake_and_spares_the_next(self):
+        world = WrittenWorld(gap(SHAKE_A + 5, SHAKE_A + 5))
+        assert run(world).outcome == Outcome.DROPPED
+        assert world.steps == SHAKE_A + 5
+
+    def test_every_joint_is_set_before_the_test_for_overlap(self):
+        world = WrittenWorld(during(0, 0, Contact(FINGER, -0.001)))
+        run(world)
+        assert world.told == [("reset", POSE.joints), "looked"]
+
+
+class TestReleased:
+    def test_contact_lost_between_the_ends_of_targets_goes_unseen(self):
+        world = WrittenWorld(gap(SHAKE_A + 1, SHAKE_A + TARGET_STEPS - 1))
+        assert run(world, RELEASED).outcome == Outcome.HELD
+
+    def test_contact_lost_at_the_end_of_a_target_ends_the_shake_but_not_the_next_one(self):
+        lost = SHAKE_A + TARGET_STEPS
+        world = WrittenWorld(gap(lost, lost))
+        assert run(world, RELEASED).outcome == Outcome.SHAKEN
+        assert [told for told in world.told if told[0] == "z"] == [("z", 0.2, SHAKE_A)]
+        assert ("x", 0.785, lost) in world.told
+        assert world.steps == lost + SHAKE_STEPS
+
+    def test_free_joints_are_set_after_the_test_for_overlap(self):
+        world = WrittenWorld(during(0, 0, Contact(FINGER, 0.001)))
+        run(world, RELEASED)
+        assert world.told[:3] == [("reset", list(world.opened)), "looked", ("fingers", POSE.joints)]

@@ -1,0 +1,159 @@
+"""Evaluations: what a row says, and that a row that fails disturbs no other."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import RESULT, Shape, pack, unpack
+from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluate import Evaluator
+
+N, NEAR = 150, 12
+
+
+@pytest.fixture(scope="module")
+def genomes(draw):
+    return draw(N, near=NEAR)
+
+
+@pytest.fixture(scope="module")
+def evaluation(evaluator, genomes):
+    return evaluator.evaluate("approach", genomes, nominal(genomes))
+
+
+@pytest.fixture(scope="module")
+def rows(evaluation):
+    return evaluation.rows
+
+
+def nominal(genomes):
+    return np.zeros(len(genomes), dtype=np.uint16)
+
+
+def results(rows):
+    return pack(rows, RESULT)
+
+
+def outcomes(rows):
+    return [Outcome(value) for value in rows["outcome"]]
+
+
+def test_the_rows_have_the_scenes_shape_and_pass_the_checks_of_the_bus(evaluator, rows, genomes):
+    shape = evaluator.shape("approach")
+    assert shape == Shape(genes=7, joints=2)
+    assert rows.dtype == shape.dtype
+    copy = unpack(shape.empty(len(rows)), RESULT, results(rows), shape)
+    assert results(copy) == results(rows)
+    np.testing.assert_array_equal(rows["genome"], genomes)
+
+
+def test_the_sample_has_what_the_tests_need(rows):
+    counts = np.bincount(rows["outcome"], minlength=8)
+    assert counts[Outcome.OVERLAP] > 20
+    assert counts[Outcome.BRUSHED] > 5
+    assert counts[Outcome.SHAKEN :].sum() > 5
+
+
+def test_fitness_counts_the_shakes_that_the_outcome_says(rows):
+    ladder = {Outcome.SHAKEN: 1.0, Outcome.HELD: 2.0}
+    expected = [ladder.get(outcome, 0.0) for outcome in outcomes(rows)]
+    np.testing.assert_array_equal(rows["fitness"], expected)
+
+
+def test_the_descriptor_is_the_position_of_the_pose(rows):
+    np.testing.assert_array_equal(rows["descriptor"], rows["base_to_object"][:, :3])
+    np.testing.assert_allclose(np.linalg.norm(rows["base_to_object"][:, 3:], axis=1), 1.0, atol=2e-7)
+
+
+def test_a_success_has_fingers_in_contact_and_nothing_else_has(rows):
+    successes = np.array([outcome.is_success for outcome in outcomes(rows)])
+    np.testing.assert_array_equal(rows["contacts"] > 0, successes)
+    assert rows["contacts"].max() <= 2
+    assert (rows["penetration"] >= 0).all()
+    assert not rows["penetration"][~successes].any()
+    assert 0 < rows["penetration"].max() < 0.05
+
+
+def test_joints_are_those_of_the_grasp_for_successes_and_the_initial_ones_otherwise(rows):
+    successes = np.array([outcome.is_success for outcome in outcomes(rows)])
+    opened = np.full(2, 0.04, dtype=np.float32)
+    assert (rows["joints"][~successes] == opened).all()
+    assert (rows["joints"][successes] < 0.04).any(axis=1).all()
+
+
+def test_each_row_is_one_proposal(rows):
+    assert (rows["proposals"] == 1).all()
+
+
+def test_a_stored_pose_evaluated_as_given_finds_the_same(evaluator, rows):
+    again = evaluator.evaluate("given", rows["base_to_object"], nominal(rows)).rows
+    for column in RESULT:
+        if column.name not in ("surface_point", "nu"):
+            assert again[column.name].tobytes() == rows[column.name].tobytes(), column.name
+
+
+@pytest.mark.parametrize("poison", [0, 5, N - 1])
+def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice(
+    cube, genomes, rows, poison, monkeypatch
+):
+    run, poisoned = Episode.run, rows["descriptor"][poison].tolist()
+
+    def run_or_fail(episode, pose):
+        if pose.position == poisoned:
+            episode.world.close()  # Bullet refuses every call from here on
+        return run(episode, pose)
+
+    monkeypatch.setattr(Episode, "run", run_or_fail)
+    with Evaluator(cube) as evaluator:
+        evaluation = evaluator.evaluate("approach", genomes, nominal(genomes))
+    assert evaluation.failures == [(poison, "error: Not connected to physics server.")]
+    assert not any(evaluation.rows[poison][column.name].any() for column in RESULT)
+    others = np.arange(N) != poison
+    assert results(evaluation.rows[others]) == results(rows[others])
+
+
+def test_a_reason_is_cut_to_what_a_message_may_hold(evaluator, genomes, monkeypatch):
+    def fail(episode, pose):
+        raise RuntimeError("words " * 100)
+
+    monkeypatch.setattr(Episode, "run", fail)
+    [(_, reason)] = evaluator.evaluate("approach", genomes[:1], nominal(genomes[:1])).failures
+    assert reason.startswith("RuntimeError: words words")
+    assert len(reason) == 200
+
+
+def test_a_genome_that_is_not_finite_fails_alone(evaluator, genomes, rows):
+    broken = genomes[:20].copy()
+    broken[3, 2], broken[7, 6] = np.nan, np.inf
+    evaluation = evaluator.evaluate("approach", broken, nominal(broken))
+    assert [position for position, _ in evaluation.failures] == [3, 7]
+    assert "not finite" in evaluation.failures[0][1]
+    others = [i for i in range(20) if i not in (3, 7)]
+    assert results(evaluation.rows[others]) == results(rows[others])
+
+
+def test_a_given_quaternion_of_length_zero_fails_alone(evaluator):
+    poses = np.array([[0, 0, 0.2, 0, 0, 0, 0], [0, 0, 0.2, 0, 0, 0, 1]], dtype=np.float32)
+    evaluation = evaluator.evaluate("given", poses, nominal(poses))
+    assert [position for position, _ in evaluation.failures] == [0]
+    assert evaluation.rows["outcome"][1] == Outcome.MISSED
+
+
+def test_a_trial_that_the_protocol_does_not_have_fails(evaluator, genomes):
+    trials = np.array([0, 1], dtype=np.uint16)
+    [(position, reason)] = evaluator.evaluate("approach", genomes[:2], trials).failures
+    assert position == 1
+    assert "no trial but 0" in reason
+
+
+def test_an_empty_batch_gives_no_rows(evaluator, genomes):
+    evaluation = evaluator.evaluate("approach", genomes[:0], nominal(genomes[:0]))
+    assert len(evaluation.rows) == 0
+    assert evaluation.failures == []
+
+
+def test_an_unknown_protocol_is_named_with_the_known_ones(cube):
+    with pytest.raises(UnknownName, match=r"Unknown protocol 'papers'. Did you mean 'paper'"):
+        Evaluator(msgspec.structs.replace(cube, protocol="papers"))

@@ -1,0 +1,45 @@
+"""What a worker says of the platform that its results come from."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import qdgrasp_worker.platform as module
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.platform import PROBES, code_digest, platform, probe_digest, probe_scene, probes
+
+
+def test_the_platform_names_versions_and_digests_in_words():
+    found = platform()
+    assert {"qdgrasp", "pybullet", "numpy", "code", "probes"} <= found.keys()
+    assert all(isinstance(value, str) and value for value in found.values())
+    assert len(found["code"]) == len(found["probes"]) == 64
+
+
+def test_the_probes_give_the_same_digest_every_time():
+    assert probe_digest() == probe_digest()
+
+
+def test_the_probes_reach_every_phase_of_an_evaluation():
+    with Evaluator(probe_scene()) as evaluator:
+        rows = evaluator.evaluate("approach", probes(), np.zeros(PROBES, np.uint16)).rows
+    outcomes = [Outcome(value) for value in rows["outcome"]]
+    assert Outcome.OVERLAP in outcomes
+    assert Outcome.BRUSHED in outcomes
+    assert sum(outcome.is_grasp for outcome in outcomes) >= 3
+
+
+def test_a_probe_that_fares_otherwise_changes_the_digest(monkeypatch):
+    digest, moved = probe_digest(), probes()
+    moved[0, 6] += 0.01
+    monkeypatch.setattr(module, "probes", lambda: moved)
+    assert probe_digest() != digest
+
+
+@pytest.mark.parametrize(("name", "counts"), [("episode.py", True), ("cone.py", True), ("service.py", False)])
+def test_the_code_digest_is_of_what_evaluates_and_of_nothing_else(name, counts, monkeypatch):
+    digest, read = code_digest(), Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"#" if path.name == name else b""))
+    assert (code_digest() != digest) is counts

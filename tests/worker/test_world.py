@@ -1,0 +1,160 @@
+"""The world in Bullet: what is loaded, how it moves, and that it forgets."""
+
+import tempfile
+
+import msgspec
+import numpy as np
+import pytest
+
+from qdgrasp_assets.catalog import GRIPPERS
+from qdgrasp_assets.scene import Synergy
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_worker.grasp import NO_SYNERGY, Pose
+from qdgrasp_worker.protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
+from qdgrasp_worker.world import World
+
+FAR = Pose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY)
+LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
+TABLE = {
+    "z": [0.014, 0.054, 0.120, 0.175, 0.204, 0.206, 0.181, 0.131, 0.062, 0.016, -0.005, -0.003],
+    "x": [0.457, 0.648, 0.728, 0.762, 0.054, -0.434, -0.638, -0.724, -0.302, -0.126, -0.053, -0.022],
+}
+"""The Panda's motion in the public code's shakes, every 17 steps [m, rad]."""
+
+
+@pytest.fixture
+def world(cube):
+    world = World(cube)
+    yield world
+    world.close()
+
+
+def with_gripper(scene, **changes):
+    return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, **changes))
+
+
+def close_hand(world, synergy=NO_SYNERGY):
+    world.close_fingers(synergy)
+    for _ in range(CLOSING_STEPS):
+        world.step()
+
+
+def shaken(world, shake):
+    """Where the shaken joint is after every 17 steps."""
+    index, _ = world._shaken[shake.joint]
+    places = []
+    for target in shake.targets:
+        world.shake_to(target, shake)
+        for step in range(1, TARGET_STEPS + 1):
+            world.step()
+            if step % 17 == 0:
+                places += world._bullet.joints(world._hand.body, [index])
+    return places
+
+
+@pytest.mark.parametrize("gripper", sorted(path.stem for path in GRIPPERS.glob("*.toml")))
+def test_in_paper_every_empty_hand_shakes_as_the_panda_is_tabled(gripper, make_scene, request):
+    if gripper.startswith("ref_"):
+        request.getfixturevalue("asset_path")
+    scene = make_scene(gripper, "rubiks_cube", "paper")
+    world = World(scene)
+    world.reset(FAR, world.opened)
+    close_hand(world)
+    for shake in SHAKES:
+        peak = max(TABLE[shake.joint])
+        np.testing.assert_allclose(shaken(world, shake), TABLE[shake.joint], atol=0.1 * peak)
+    world.close()
+
+
+def test_an_object_that_nothing_reaches_keeps_its_place_to_the_bit(world):
+    world.reset(FAR, world.opened)
+    close_hand(world)
+    for shake in SHAKES:
+        shaken(world, shake)
+    bullet, body = world._bullet, world._target.body
+    assert bullet.position(body) == (0.0, 0.0, 0.0)
+    assert bullet.velocity(body) == (0.0, 0.0, 0.0)
+    assert not world.is_touching()
+
+
+def test_fingers_that_meet_nothing_close(world):
+    world.reset(FAR, world.opened)
+    assert world.fingers() == [0.04, 0.04]
+    close_hand(world)
+    np.testing.assert_allclose(world.fingers(), 0.0, atol=1e-4)
+
+
+def test_a_synergy_closes_its_own_joints_and_the_others_stay_open(cube):
+    synergies = (Synergy(name="left", joints=(LEFT,)), Synergy(name="right", joints=(RIGHT,)))
+    world = World(with_gripper(cube, synergies=synergies))
+    for synergy, expected in ((0, [0.0, 0.04]), (1, [0.04, 0.0]), (NO_SYNERGY, [0.0, 0.0])):
+        world.reset(FAR, world.opened)
+        close_hand(world, synergy)
+        np.testing.assert_allclose(world.fingers(), expected, atol=1e-4)
+    world.close()
+
+
+def test_a_joint_that_nothing_drives_stays_where_it_was_put(cube):
+    joints = tuple(msgspec.structs.replace(joint, driven=joint.name == LEFT) for joint in cube.gripper.joints)
+    world = World(with_gripper(cube, joints=joints))
+    world.reset(FAR, [0.04, 0.013])
+    close_hand(world)
+    np.testing.assert_allclose(world.fingers(), [0.0, 0.013], atol=1e-4)
+    world.close()
+
+
+def test_an_unknown_synergy_is_an_error(world):
+    with pytest.raises(ValueError, match=r"synergy must be one of \[-1\], got 3"):
+        world.close_fingers(3)
+
+
+def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
+    touching = Pose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
+
+    def trace():
+        world.reset(touching, touching.joints)
+        close_hand(world)
+        bullet, body = world._bullet, world._target.body
+        return world.contacts(), world.fingers(), bullet.position(body), bullet.velocity(body)
+
+    first = trace()
+    assert first[0], "the pose was to touch the object"
+    for shake in SHAKES:
+        shaken(world, shake)
+    world.reset(FAR, world.opened)
+    assert trace() == first
+
+
+def test_loading_leaves_no_files_and_no_words_on_the_console(cube, tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    World(cube).close()
+    assert list(tmp_path.iterdir()) == []
+    seen = capfd.readouterr()
+    assert (seen.out, seen.err) == ("", "")
+
+
+def test_closing_twice_is_allowed(world):
+    world.close()
+    world.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"finger_links": ("thumb",)}, r"no finger link 'thumb'. It has: .*panda_leftfinger"),
+        ({"meshes": {}}, r"Bullet cannot load 'body.urdf'"),
+        ({"meshes": {"../escape.stl": b""}}, r"'../escape.stl' does not"),
+        ({"urdf": "<robot>"}, r"Bullet cannot load 'body.urdf'"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else None,
+)
+def test_a_hand_that_cannot_be_loaded_is_an_asset_error(change, message, cube, capfd):
+    with pytest.raises(AssetError, match=message):
+        World(with_gripper(cube, **change))
+    assert capfd.readouterr().out == ""
+
+
+def test_a_joint_that_is_not_there_is_an_asset_error(cube):
+    joints = (msgspec.structs.replace(cube.gripper.joints[0], name="thumb"),)
+    with pytest.raises(AssetError, match=r"no joint 'thumb'. It has: panda_finger_joint1"):
+        World(with_gripper(cube, joints=joints))
