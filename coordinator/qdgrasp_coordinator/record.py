@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from qdgrasp_coordinator.outbox import Outbox
-from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.stretch import Stretch, from_message, to_message
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
 from qdgrasp_protocol.errors import EndedEarly, NoReply
@@ -21,7 +21,7 @@ from qdgrasp_protocol.messages import (
     Recordable,
     Recorded,
 )
-from qdgrasp_protocol.rows import COLUMNS, Rows, Shape, pack, unpack
+from qdgrasp_protocol.rows import Rows, Shape
 
 PAGE = 2048
 """Rows in one page of a replay."""
@@ -105,8 +105,7 @@ class RecorderLink(Record):
         """A page of rows from the recorder's journal."""
         request = codec.encode(Log(run=self._run, first=first, limit=PAGE))
         page = codec.decode(self._bus.ask(self._keys.log, request, timeout=10.0), Recordable)
-        rows = unpack(self._shape.empty(page.n), COLUMNS, page.columns, self._shape)
-        return Stretch(page.first, rows, page.cpu_seconds, tuple(page.failures))
+        return from_message(page, self._shape)
 
     def push(self, stretch: Stretch) -> None:
         """Keep rows until they are durable."""
@@ -129,18 +128,7 @@ class RecorderLink(Record):
     def tick(self, now: float) -> None:
         """Send the rows that are due."""
         for part in self._outbox.due(now):
-            message = Recordable(
-                epoch=self._epoch,
-                run=self._run,
-                first=part.first,
-                n=len(part),
-                genes=self._shape.genes,
-                joints=self._shape.joints,
-                descriptors=self._shape.descriptors,
-                columns=pack(part.rows, COLUMNS),
-                cpu_seconds=part.cpu_seconds,
-                failures=list(part.failures),
-            )
+            message = to_message(part, self._run, self._epoch, self._shape)
             self._put(self._keys.outcome(self._epoch), message)
 
     @property

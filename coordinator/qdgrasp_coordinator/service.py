@@ -21,14 +21,13 @@ from qdgrasp_coordinator.inbox import Event, Inbox, JoinRequest, LinkChange, Tok
 from qdgrasp_coordinator.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.platforms import admit
 from qdgrasp_coordinator.record import Record, RecorderLink
-from qdgrasp_protocol import codec
+from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.errors import EndedEarly, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import (
     VERSION,
-    Chunk,
     Failure,
     Join,
     Joined,
@@ -41,7 +40,6 @@ from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
 
 log = structlog.get_logger()
 
-CHUNK = 512 << 10  # bytes of a scene bundle in one answer
 STAT_INTERVAL = 0.5  # seconds between two publications of the figures
 MAX_PATIENCE = 0.5  # seconds that the inbox is waited for, at most
 
@@ -295,15 +293,7 @@ class CoordinatorService:
 
     def _answer_asset(self, query: Query) -> bytes:
         """In a thread of the bus: one chunk of the scene."""
-        payload = self._run.bundle.payload
-        if last_chunk(query.key) != self._run.bundle.digest:
-            raise Refused("no such scene here")
-        total = -(-len(payload) // CHUNK)
-        number = query.parameters.removeprefix("i=")
-        if not number.isdigit() or int(number) >= total:
-            raise Refused(f"chunk '{query.parameters}' is not one of {total}")
-        start = int(number) * CHUNK
-        return codec.encode(Chunk(total=total, data=payload[start : start + CHUNK]))
+        return chunks.answer(query, self._run.bundle.payload, self._run.bundle.digest)
 
     def _token_changed(self, key: str, alive: bool) -> None:
         self._inbox.put(TokenChange(key, alive))

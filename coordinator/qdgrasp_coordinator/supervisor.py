@@ -80,7 +80,7 @@ class Supervisor:
             self._hire_recorder(crew, endpoint)
             for number in range(self._team.workers):
                 self._hire_worker(crew, endpoint, number)
-            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0))
+            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop))
             stack.enter_context(self._listen(bus))
             self._await(lambda: watch.is_done, watch)
 

@@ -40,11 +40,10 @@ def worker(
             return
         speak("worker")
         from qdgrasp_protocol.zenoh_bus import ZenohBus
-
         from qdgrasp_worker.library import Library
         from qdgrasp_worker.service import WorkerService
 
-        with ZenohBus.connect(connect, wait) as bus:
+        with ZenohBus.connect(connect, wait, stop) as bus:
             library = Library(cache or _cache())
             WorkerService(bus, stop, job=job, platform=platform(), library=library).run()
         log.info("stopped")

@@ -6,11 +6,8 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from qdgrasp_protocol import codec
+from qdgrasp_protocol import chunks
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Chunk
 
 
 class Library:
@@ -37,9 +34,7 @@ class Library:
         """
         payload = self._kept(digest)
         if payload is None:
-            payload = fetch(bus, Keys(job).asset(digest))
-            if hashlib.sha256(payload).hexdigest() != digest:
-                raise MessageError(f"the scene that came is not {digest[:12]}")
+            payload = chunks.fetch(bus, job, digest)
             self._keep(digest, payload)
         return payload
 
@@ -61,10 +56,3 @@ class Library:
             with os.fdopen(handle, "wb") as file:
                 file.write(payload)
             Path(name).replace(self._folder / digest)
-
-
-def fetch(bus: Bus, key: str) -> bytes:
-    """All chunks of a bundle, one query each (PROTOCOL.md, keys)."""
-    first = codec.decode(bus.ask(key, parameters="i=0"), Chunk)
-    rest = [codec.decode(bus.ask(key, parameters=f"i={i}"), Chunk) for i in range(1, first.total)]
-    return b"".join(chunk.data for chunk in [first, *rest])

@@ -51,7 +51,7 @@ def coordinator(
         run = preparation.assignment(spec, scene, bundle)
         name = job or (folder.job if folder else job_name(what.stem))
         endpoint = listen or free_endpoint()
-        bus = stack.enter_context(ZenohBus.connect(connect, 30.0) if connect else ZenohBus.router(endpoint))
+        bus = stack.enter_context(ZenohBus.connect(connect, 30.0, stop) if connect else ZenohBus.router(endpoint))
         log.info("listening" if not connect else "connected", endpoint=connect or endpoint, job=name)
         if folder is not None:
             folder.write_endpoint(connect or endpoint)
