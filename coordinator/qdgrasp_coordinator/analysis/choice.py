@@ -37,6 +37,7 @@ def well_spread(rows: Rows, axis: NDArray[np.floating], camera: Camera) -> Rows:
     turned = Rotation.from_quat(pose[:, 3:])
     approach = turned.apply(axis)
     aside = np.flatnonzero(-(approach @ camera.axes[2]) < FACING)
+    aside = aside if len(aside) else np.arange(len(best))
     chosen = _farthest(camera.seen(pose[aside, :3]), camera.seen(approach[aside]))
     return best[aside[chosen]]
 
@@ -51,8 +52,6 @@ def _best(rows: Rows) -> Rows:
 
 def _farthest(positions: NDArray[np.floating], approaches: NDArray[np.floating]) -> list[int]:
     """Places of hands: the outermost first, then ever the one that is farthest from those chosen."""
-    if not len(positions):
-        return []
     features = np.hstack([positions[:, :2], 0.5 * APART * approaches])
     chosen = [int(np.argmax(np.linalg.norm(positions[:, :2], axis=1)))]
     nearest = np.linalg.norm(features - features[chosen[0]], axis=1)

@@ -37,8 +37,8 @@ def lit(hits: Hits, solid: Solid, camera: Camera) -> Floats:
     return light
 
 
-def open_light(normals: Floats, camera: Camera) -> Floats:
-    """The light that arrives on surfaces with nothing above them, by their normals (m, 3)."""
-    lamps, brightness = sky(camera)
-    received: Floats = np.clip(normals @ lamps.T, 0, None) @ brightness
-    return received
+def soft_light(normals: Floats, camera: Camera) -> Floats:
+    """The light on what is translucent, by its normals (m, 3): 1 facing the sun, 0 facing away."""
+    sun = unit(np.array([SUN]))[0] @ camera.axes
+    light: Floats = 0.5 + 0.5 * (normals @ sun)
+    return light

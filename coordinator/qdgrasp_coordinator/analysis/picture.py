@@ -29,7 +29,7 @@ BAR = 0.05
 
 
 def draw_grasps(
-    scene: Scene, rows: Rows, path: Path, *, spec: RunSpec | None = None, pixels: int = 1120
+    scene: Scene, rows: Rows, path: Path, *, spec: RunSpec | None = None, pixels: int = 1040
 ) -> None:
     """Draw what a run has found.
 

@@ -54,10 +54,11 @@ class Camera:
 
     def origins(self, pixels: Places) -> Floats:
         """Where the rays of points of the image start, (n, 3) [m]."""
-        row, column = np.divmod(pixels, self.columns)
-        right = self.low[0] + (column + 0.5) * self.step
-        up = self.low[1] + (self.rows - row - 0.5) * self.step
-        eye = np.stack([right, up, np.full(len(pixels), FAR)], axis=1).astype(np.float32)
+        row, column = np.divmod(pixels.astype(np.int32), np.int32(self.columns))
+        eye = np.empty((len(pixels), 3), dtype=np.float32)
+        eye[:, 0] = self.low[0] + (column + np.float32(0.5)) * np.float32(self.step)
+        eye[:, 1] = self.low[1] + (self.rows - row - np.float32(0.5)) * np.float32(self.step)
+        eye[:, 2] = FAR
         start: Floats = eye @ self.axes
         return start
 

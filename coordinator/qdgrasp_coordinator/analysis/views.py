@@ -13,7 +13,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.choice import well_spread
 from qdgrasp_coordinator.analysis.hand import hand
 from qdgrasp_coordinator.analysis.layers import FINE, Image
-from qdgrasp_coordinator.analysis.light import lit, open_light
+from qdgrasp_coordinator.analysis.light import lit, soft_light
 from qdgrasp_coordinator.analysis.rays import Camera, Floats, Solid, camera
 from qdgrasp_coordinator.cells import PER_METRE, cells, keys
 from qdgrasp_protocol.rows import Rows
@@ -161,8 +161,8 @@ def _paint_link(image: Image, link: Link, distance: Distance) -> None:
     hits = Solid(link.mesh).seen_by(image.camera)
     edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
     near = np.exp(-((distance(hits.points) / FADE) ** 2))
-    light = open_light(hits.normals, image.camera)[:, None]
-    shaded = link.hue * (0.55 + 0.5 * light)
+    light = soft_light(hits.normals, image.camera)[:, None]
+    shaded = link.hue * (0.5 + 0.55 * light)
     if link.finger:
         image.add_veil(hits, _paler(shaded, 0.2), np.clip(0.58 + 0.32 * near + 0.1 * edge, 0, 0.95))
     else:

@@ -1,0 +1,57 @@
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_coordinator.analysis.choice import APART, FACING, MOST, well_spread
+from qdgrasp_coordinator.analysis.rays import camera
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+
+VIEW = camera(np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]]), 0.0, 0.0, 100, 100)
+"""Seen from +x: y to the right, z up."""
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def around(n: int, outcome: Outcome, seed: int = 0) -> Rows:
+    """Hands on a ball of 12 cm that look at its middle."""
+    places = np.random.default_rng(seed).normal(size=(n, 3))
+    places *= 0.12 / np.linalg.norm(places, axis=1, keepdims=True)
+    rows = Shape(7, 2).empty(n)
+    turns = [Rotation.align_vectors([-place], [Z])[0].as_quat() for place in places]
+    rows["outcome"] = outcome
+    rows["base_to_object"][:, :3], rows["base_to_object"][:, 3:] = places, np.reshape(turns, (n, 4))
+    return rows
+
+
+def test_robust_grasps_come_before_grasps_and_those_before_successes() -> None:
+    dropped, shaken, held = (
+        around(30, outcome, outcome) for outcome in (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
+    )
+    assert set(well_spread(np.concatenate([dropped, shaken, held]), Z, VIEW)["outcome"]) == {Outcome.HELD}
+    assert set(well_spread(np.concatenate([dropped, shaken]), Z, VIEW)["outcome"]) == {Outcome.SHAKEN}
+    assert set(well_spread(dropped, Z, VIEW)["outcome"]) == {Outcome.DROPPED}
+
+
+def test_no_hand_stands_between_the_object_and_the_eye() -> None:
+    chosen = well_spread(around(500, Outcome.HELD), Z, VIEW)
+    assert len(chosen) == MOST
+    toward_eye = chosen["base_to_object"][:, 0] / 0.12
+    assert toward_eye.max() < FACING + 1e-6
+
+
+def test_chosen_hands_are_apart_and_the_like_of_one_another_are_not_chosen_twice() -> None:
+    chosen = well_spread(around(500, Outcome.HELD), Z, VIEW)["base_to_object"][:, :3]
+    gaps = np.linalg.norm(chosen[:, None] - chosen[None], axis=2)[~np.eye(len(chosen), dtype=bool)]
+    assert gaps.min() > APART
+    alike = np.repeat(around(1, Outcome.HELD, 7), 50)
+    assert len(well_spread(alike, Z, VIEW)) == 1
+
+
+def test_a_hand_before_the_object_is_chosen_when_there_is_no_other() -> None:
+    rows = around(500, Outcome.HELD)
+    facing = rows[rows["base_to_object"][:, 0] > 0.1]
+    assert len(facing) > 5
+    assert len(well_spread(facing, Z, VIEW)) > 0
+
+
+def test_of_no_successes_none_is_chosen() -> None:
+    assert len(well_spread(around(0, Outcome.HELD), Z, VIEW)) == 0
