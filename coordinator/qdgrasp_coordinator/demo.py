@@ -30,7 +30,7 @@ def demo(out: Path = Path("runs/demo")) -> None:
     folder = RunFolder.open(out)
     with folder.journal() as journal:
         rows = np.concatenate([journal.shape.empty(0), *journal.blocks()])
-    draw_grasps(folder.scene(), rows, picture)
+    draw_grasps(folder.scene(), rows, picture, spec=folder.spec)
     typer.echo(f"Records: {out / 'run.sqlite'}\nPicture: {picture}")
 
 
