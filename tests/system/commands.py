@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_protocol.errors import FolderError
 
 PATIENCE = 120.0  # seconds that anything may take before a test fails
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
+LONG = ("--gripper", "panda", "--object", "mug", "--population", "100", "--evaluations", "1000")
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,8 @@ def rows_recorded(folder: Path) -> int:
         return 0
     try:
         with RunFolder.open(folder).journal() as journal:
-            return len(journal)
-    except Exception:
+            return journal.count
+    except FolderError:  # its tables are being made
         return 0
 
 

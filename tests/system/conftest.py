@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-from tests.system.commands import SMALL, Commands
+from tests.system.commands import LONG, SMALL, Commands
 
 
 @pytest.fixture
@@ -13,6 +12,15 @@ def qdgrasp(tmp_path: Path) -> Iterator[Commands]:
     commands = Commands(tmp_path)
     yield commands
     commands.end_all()
+
+
+@pytest.fixture(scope="session")
+def long_digest(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The digest of an undisturbed run that takes long enough to disturb it."""
+    commands = Commands(tmp_path_factory.mktemp("long"))
+    done = commands("run", *LONG, "--workers", 2, "--out", "run")
+    assert done.code == 0, done.err
+    return commands.digest("run")
 
 
 @pytest.fixture(scope="session")

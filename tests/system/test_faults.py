@@ -6,14 +6,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from tests.system.commands import SMALL, Commands, is_alive, kill, processes_of, rows_recorded, wait_for
-
-LONG = ("run", *SMALL, "--evaluations", 240, "--batch-size", 6, "--out", "run")
+from tests.system.commands import LONG, Commands, is_alive, kill, processes_of, rows_recorded, wait_for
 
 
 def start(qdgrasp: Commands, rows: int) -> tuple[subprocess.Popen[str], Path]:
     """A run of which some rows are on disk already."""
-    process = qdgrasp.start(*LONG, "--workers", 2)
+    process = qdgrasp.start("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run")
     folder = qdgrasp.home / "run"
     wait_for(lambda: rows_recorded(folder) >= rows or process.poll() is not None, f"{rows} rows")
     assert process.poll() is None, process.communicate()
@@ -24,28 +22,28 @@ def pids(process: subprocess.Popen[str], role: str) -> list[int]:
     return [pid for name, pid in processes_of(process.pid).items() if name.startswith(f"qdgrasp-{role}")]
 
 
-def test_killed_workers_are_replaced_and_change_nothing(qdgrasp, reference):
+def test_killed_workers_are_replaced_and_change_nothing(qdgrasp, long_digest):
     process, folder = start(qdgrasp, 1)
-    for rows in (20, 60, 120):
+    for rows in (20, 300, 600):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         wait_for(lambda: bool(pids(process, "worker")), "a worker")
         kill(pids(process, "worker")[0])
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert "was killed by SIGKILL; it is started again" in err
-    assert qdgrasp.digest("run") == reference[1]
+    assert qdgrasp.digest("run") == long_digest
 
 
-def test_a_killed_recorder_is_started_again_and_nothing_is_lost(qdgrasp, reference):
+def test_a_killed_recorder_is_started_again_and_nothing_is_lost(qdgrasp, long_digest):
     process, _ = start(qdgrasp, 30)
     kill(pids(process, "recorder")[0])
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    assert qdgrasp.digest("run") == reference[1]
+    assert qdgrasp.digest("run") == long_digest
 
 
 @pytest.mark.parametrize("roles", [("coordinator",), ("coordinator", "recorder")])
-def test_a_run_whose_head_was_killed_names_resume_and_goes_on_from_its_journal(qdgrasp, reference, roles):
+def test_a_run_whose_head_was_killed_names_resume_and_goes_on_from_its_journal(qdgrasp, long_digest, roles):
     process, _ = start(qdgrasp, 60)
     for role in roles:
         kill(pids(process, role)[0])
@@ -54,10 +52,10 @@ def test_a_run_whose_head_was_killed_names_resume_and_goes_on_from_its_journal(q
     assert "qdgrasp resume" in err
     done = qdgrasp("resume", "run", "--workers", 2)
     assert done.code == 0, done.err
-    assert qdgrasp.digest("run") == reference[1]
+    assert qdgrasp.digest("run") == long_digest
 
 
-def test_when_run_itself_is_killed_its_processes_end_and_free_the_folder(qdgrasp, reference):
+def test_when_run_itself_is_killed_its_processes_end_and_free_the_folder(qdgrasp, long_digest):
     process, _ = start(qdgrasp, 20)
     started = list(processes_of(process.pid).values())
     assert len(started) == 4
@@ -66,11 +64,11 @@ def test_when_run_itself_is_killed_its_processes_end_and_free_the_folder(qdgrasp
     wait_for(lambda: not any(map(is_alive, started)), "the orphans' end")
     done = qdgrasp("resume", "run")
     assert done.code == 0, done.err
-    assert qdgrasp.digest("run") == reference[1]
+    assert qdgrasp.digest("run") == long_digest
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, reference, number, code):
+def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, number, code):
     process, _ = start(qdgrasp, 20)
     started = list(processes_of(process.pid).values())
     os.kill(process.pid, number)
@@ -80,7 +78,7 @@ def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, reference, numbe
     assert not any(map(is_alive, started))
     done = qdgrasp("resume", "run")
     assert done.code == 0, done.err
-    assert qdgrasp.digest("run") == reference[1]
+    assert qdgrasp.digest("run") == long_digest
 
 
 def test_a_run_in_use_is_not_resumed(qdgrasp):
