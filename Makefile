@@ -1,34 +1,55 @@
-# Everything a person types. `make demo` and `make test` need nothing but Python 3.11 and its venv module.
-PYTHON ?= python3.11
+# Everything a person types. `make demo` and `make test` need Python 3.11 with its venv module, and nothing else.
 VENV := .venv
 BIN := $(VENV)/bin
-READY := $(VENV)/.ready
+IS_3_11 := import sys; sys.exit(sys.version_info[:2] != (3, 11))
+PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11)" 2>/dev/null && echo $$name && break; done)
 
-.PHONY: demo test test-slow check bench clean
-demo: $(READY)
-	$(BIN)/python -m qdgrasp_coordinator.demo
+.PHONY: help demo test test-slow check bench clean
+help:
+	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
+	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
+	@echo "make check   formatter, linter, types, imports between rooms"
+	@echo "make bench   what an evaluation, the coordinator and the recorder cost on this machine"
+	@echo "make clean   remove the environment and the caches of the tools"
 
-test: $(READY)
-	$(BIN)/pytest -m "not slow" --ignore=tests/benchmarks
+demo: $(VENV)/.installed
+	@$(BIN)/python -m qdgrasp_coordinator.demo
 
-test-slow: $(READY)
-	$(BIN)/pytest -m slow --ignore=tests/benchmarks
+test: $(VENV)/.ready
+	$(BIN)/python -m pytest -m "not slow" --ignore=tests/benchmarks
 
-check: $(READY)
+test-slow: $(VENV)/.ready
+	$(BIN)/python -m pytest -m slow --ignore=tests/benchmarks
+
+check: $(VENV)/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(READY)
-	$(BIN)/python -m tests.benchmarks
-
-$(READY): pyproject.toml
-	@command -v $(PYTHON) >/dev/null || { echo "qdgrasp needs Python 3.11, found none as '$(PYTHON)'; name it: make PYTHON=/path/to/python3.11" >&2; exit 2; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --upgrade pip
-	$(BIN)/pip install --quiet --editable '.[dev]'
-	touch $@
+bench: $(VENV)/.ready
+	@$(BIN)/python -m tests.benchmarks
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+
+define install
+	@echo "Installing into $(VENV) (once; a minute or two) ..." >&2
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '$(1)' || { \
+	  echo "The packages could not be installed: see pip's message above; it needs the network or a mirror." >&2; exit 2; }
+	@touch $@
+endef
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(call install,.)
+
+$(VENV)/.ready: pyproject.toml | $(BIN)/python
+	$(call install,.[dev])
+	@touch $(VENV)/.installed
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { \
+	  echo "qdgrasp needs Python 3.11 (PyBullet has wheels for it and none for later ones), and found none" \
+	    "as python3.11 or python3; name it: make PYTHON=/path/to/python3.11 ..." >&2; exit 2; }
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "$(PYTHON) could not make an environment in $(VENV); on Debian: apt install python3.11-venv" >&2; exit 2; }
