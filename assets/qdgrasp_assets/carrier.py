@@ -8,6 +8,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from qdgrasp_assets.scene import CarrierJoint
 from qdgrasp_assets.urdf import Urdf, tree
 from qdgrasp_protocol.errors import AssetError
@@ -17,6 +19,8 @@ SHAKE_FORCES = {"z": 20.0, "x": 100.0, "": 0.0}  # N, Nm; by the shake that move
 MAX_VELOCITY = 10.0  # m/s, rad/s
 CARRIED_MASS = 3.0  # kg: the links that the authors' Panda shakes along z besides the hand
 PANDA_MASS = 0.7  # kg
+GYRATION = 0.065  # m: of the Panda hand about x
+PANDA_INERTIA = PANDA_MASS * GYRATION**2 + 2 * 0.01 * 0.0584**2  # kg m2
 
 
 @dataclass(frozen=True)
@@ -65,12 +69,28 @@ def released_carrier(robot: Urdf, base: str, hold_force: float) -> Carried:
 def paper_carrier(robot: Urdf, base: str, hold_force: float) -> Carried:  # noqa: ARG001
     """The hand alone on z and x, behind 3 kg.
 
-    Forces grow with the mass that is moved, so that every empty hand moves like the Panda.
+    Forces grow with what they move, mass along z and inertia about x, so that every empty hand moves like
+    the Panda.
     """
     hand = robot.subtree(base)
-    scale = (CARRIED_MASS + hand.mass) / (CARRIED_MASS + PANDA_MASS)
+    scales = {
+        "z": (CARRIED_MASS + hand.mass) / (CARRIED_MASS + PANDA_MASS),
+        "x": inertia_about_x(hand) / PANDA_INERTIA,
+    }
     urdf = _compose(hand, base, TWO, CARRIED_MASS)
-    return Carried(urdf, tuple(_command(axis, HOLD_FORCE * scale, scale) for axis in TWO))
+    return Carried(
+        urdf, tuple(_command(axis, HOLD_FORCE * scales[axis.shake], scales[axis.shake]) for axis in TWO)
+    )
+
+
+def inertia_about_x(hand: Urdf) -> float:
+    """Of the hand about its base's x axis, joints at zero [kg m2]; links as the Panda's, by their mass."""
+    frames = hand.forward({})
+    places = {link: frames[link] @ np.append(place, 1.0) for link, (_, place) in hand.masses.items()}
+    return sum(
+        float(mass * (GYRATION**2 + places[link][1] ** 2 + places[link][2] ** 2))
+        for link, (mass, _) in hand.masses.items()
+    )
 
 
 CARRIERS: dict[str, Callable[[Urdf, str, float], Carried]] = {

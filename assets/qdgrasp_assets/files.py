@@ -19,8 +19,8 @@ def on_asset_path(relative: str) -> Path | None:
 
 def searched() -> str:
     """Where a search on the asset path looked, in words for an error."""
-    folders = ", ".join(f"'{folder}'" for folder in asset_folders())
-    return f"looked in {folders} ({ASSET_PATH})" if folders else f"{ASSET_PATH} is not set"
+    value = os.environ.get(ASSET_PATH)
+    return f"{ASSET_PATH} is '{value}'" if value else f"{ASSET_PATH} is not set"
 
 
 def cache_folder() -> Path:

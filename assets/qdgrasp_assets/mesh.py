@@ -50,7 +50,8 @@ class Mesh:
         """(f, 3), unit; zeros for triangles without area."""
         crosses = self.crosses
         lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
-        return np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+        normals: Floats = np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+        return normals
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:

@@ -65,7 +65,20 @@ class Urdf:
     @property
     def mass(self) -> float:
         """Of all links together [kg]."""
-        return sum(_number(self.path, mass, "value") for mass in self.element.findall("link/inertial/mass"))
+        return sum(mass for mass, _ in self.masses.values())
+
+    @property
+    def masses(self) -> dict[str, tuple[float, Floats]]:
+        """Each link's mass [kg] and where it is, (3,) [m], link frame.
+
+        A link whose mass the file does not say has 1 kg at its origin, as Bullet gives it.
+        """
+        return {link.get("name", ""): self._mass(link) for link in self.element.findall("link")}
+
+    def _mass(self, link: ET.Element) -> tuple[float, Floats]:
+        mass = link.find("inertial/mass")
+        place = _origin(self.path, link.find("inertial/origin"))[:3, 3]
+        return (1.0, np.zeros(3)) if mass is None else (_number(self.path, mass, "value"), place)
 
     def joint(self, name: str) -> UrdfJoint | None:
         """The joint of this name; None when there is none."""
