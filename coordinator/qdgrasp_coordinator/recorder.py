@@ -23,7 +23,7 @@ from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.errors import BusError, DiskFull, InputError, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable, Recorded
+from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable, Recorded, short
 
 log = structlog.get_logger()
 
@@ -201,7 +201,7 @@ class RecorderService:
                 f"{self._path} has had no room for {self._disk_wait:g} s; "
                 f"make room, then `qdgrasp resume {self._path}` goes on."
             )
-        self._trouble = str(full)[:200]
+        self._trouble = short(str(full))
         self._try_at, self._report_at = now + RETRY_INTERVAL, 0.0
 
     def _report(self, now: float) -> None:

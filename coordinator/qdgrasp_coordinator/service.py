@@ -35,6 +35,7 @@ from qdgrasp_protocol.messages import (
     OpenRun,
     Recorded,
     Result,
+    short,
 )
 from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
 
@@ -268,7 +269,7 @@ class CoordinatorService:
         try:
             return result, unpack(rows, RESULT, result.columns, shape)
         except MessageError as error:
-            failures = [Failure(row=row, reason=str(error)[:200]) for row in range(result.n)]
+            failures = [Failure(row=row, reason=short(str(error))) for row in range(result.n)]
             return msgspec.structs.replace(result, failures=failures), rows
 
     def _take_recorded(self, sample: Sample, now: float) -> None:

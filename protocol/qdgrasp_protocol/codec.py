@@ -4,7 +4,7 @@ Nothing recurses into, or prints, what has not passed both. The default limits o
 megabyte of `0x90` become a million objects.
 """
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgpack
 import msgspec
@@ -13,9 +13,14 @@ from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Message
 
 M = TypeVar("M", bound=Message)
+C = TypeVar("C", list[Any], dict[str, Any])
 
 MAX_PAYLOAD = 16 << 20
 """The largest payload that is looked at [bytes]."""
+MAX_CONTAINERS = 8192
+"""The most lists and maps in one message: a result with 4096 failures has half of them."""
+MAX_REASON = 200
+"""The most characters that a refusal repeats of what came."""
 LIMITS = {
     "max_array_len": 4096,
     "max_map_len": 32,
@@ -47,11 +52,30 @@ def decode(payload: bytes, kind: type[M]) -> M:
     """
     if len(payload) > MAX_PAYLOAD:
         raise MessageError(f"{len(payload)} bytes are more than a message may have ({MAX_PAYLOAD})")
+    count = _Budget(MAX_CONTAINERS).count
     try:
-        values = msgpack.unpackb(payload, **LIMITS)
-    except (ValueError, msgpack.UnpackException, RecursionError) as error:
+        values = msgpack.unpackb(payload, list_hook=count, object_hook=count, **LIMITS)
+    except (ValueError, msgpack.UnpackException) as error:
         raise MessageError(f"not MessagePack within the limits: {type(error).__name__}") from None
     try:
-        return msgspec.convert(values, kind)
+        return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
-        raise MessageError(f"not a {kind.__name__.lower()}: {error}") from None
+        raise MessageError(f"not a {kind.__name__.lower()}: {_harmless(str(error))}") from None
+
+
+class _Budget:
+    """How many lists and maps a payload may still unfold to."""
+
+    def __init__(self, left: int) -> None:
+        self._left = left
+
+    def count(self, container: C) -> C:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError("too many lists and maps")
+        return container
+
+
+def _harmless(text: str) -> str:
+    """What may be printed of text that holds what others wrote."""
+    return ascii(text)[1:-1][:MAX_REASON]

@@ -11,21 +11,30 @@ from msgspec import Meta, Struct
 VERSION = 1
 """The version of the protocol that this package speaks."""
 
-Wid = Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$")]
+Wid = Annotated[str, Meta(pattern=r"\A[0-9a-f]{32}\Z")]
 """A worker process: 128 random bits, new at every start."""
-Digest = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$")]
-Name = Annotated[str, Meta(pattern=r"^[a-z0-9_-]{1,64}$")]
+Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
+Name = Annotated[str, Meta(pattern=r"\A[a-z0-9_-]{1,64}\Z")]
 BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 RowCount = Annotated[int, Meta(ge=1, le=4096)]
 Width = Annotated[int, Meta(ge=0, le=256)]
-Number = Annotated[float, Meta(ge=0)]
+Number = Annotated[float, Meta(ge=0, le=1e12)]
+"""Finite and not negative."""
+
+Text = Annotated[str, Meta(max_length=200)]
+"""Words for a person; made with `short`."""
+
+
+def short(text: str) -> str:
+    """Text cut to what a message may carry: 200 bytes of UTF-8."""
+    return text.encode(errors="replace")[:200].decode(errors="ignore")
 
 
 class Message(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The root of all messages."""
 
-    v: Annotated[int, Meta(ge=1)] = VERSION
+    v: Annotated[int, Meta(ge=1, le=VERSION)] = VERSION
 
 
 class Work(Message, frozen=True, kw_only=True):
@@ -34,7 +43,7 @@ class Work(Message, frozen=True, kw_only=True):
     epoch: Count
     run: Name
     scene: Digest
-    prior: Annotated[str, Meta(pattern=r"^[a-z_]{1,32}$")]
+    prior: Annotated[str, Meta(pattern=r"\A[a-z_]{1,32}\Z")]
     generation: Count
     batch: BatchId
     attempt: Count
@@ -51,7 +60,7 @@ class Failure(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     row: Count
     """Its place in the batch."""
-    reason: Annotated[str, Meta(max_length=200)]
+    reason: Text
 
 
 class Result(Message, frozen=True, kw_only=True):
@@ -75,7 +84,7 @@ class Result(Message, frozen=True, kw_only=True):
 class Join(Message, frozen=True, kw_only=True):
     """Worker to coordinator, query: serve this job."""
 
-    versions: list[int]
+    versions: list[Count]
     wid: Wid
     number: Count
     """Counts this worker's joins; the coordinator forgets what older ones were leased."""
@@ -138,7 +147,7 @@ class Recorded(Message, frozen=True, kw_only=True):
     epoch: Count
     run: Name
     durable: Count
-    trouble: Annotated[str, Meta(max_length=200)] = ""
+    trouble: Text = ""
     """Why the recorder cannot write now, in words; empty when it can."""
 
 

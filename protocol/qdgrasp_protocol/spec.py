@@ -27,13 +27,13 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """A built-in gripper, one on the asset path, or a gripper's TOML file."""
     object: str
     """A built-in object, one on the asset path, or a mesh file in metres."""
-    mass: Annotated[float, Meta(gt=0)] | None = None
+    mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
     """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
     method: str = "contact_me_scs"
     protocol: ProtocolName = "paper"
-    evaluations: Annotated[int, Meta(ge=1)] = 10_000
+    evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"

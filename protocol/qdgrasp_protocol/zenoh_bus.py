@@ -37,6 +37,9 @@ SLICE = 2.0  # seconds of one try to connect; between two of them a signal is he
 REFUSAL = "text/plain;qdgrasp.refusal"
 """The encoding of a refusal; an error reply without it is zenoh's own (a time-out)."""
 
+MAX_REASON = 1000
+"""The most bytes that are shown of a refusal."""
+
 SETTINGS: dict[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -185,7 +188,7 @@ class ZenohBus(Bus):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
             if reply.err is not None and str(reply.err.encoding) == REFUSAL:
-                raise Refused(reply.err.payload.to_bytes().decode(errors="replace"))
+                raise Refused(_printable(reply.err.payload.to_bytes()))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
     def token(self, key: str) -> AbstractContextManager[None]:
@@ -266,3 +269,9 @@ def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
             query.reply_err(reason.encode(), encoding=REFUSAL)
     else:
         query.reply(query.key_expr, answer)
+
+
+def _printable(reason: bytes) -> str:
+    """The reason of a refusal as it may be shown to a person."""
+    text = reason[:MAX_REASON].decode(errors="ignore")
+    return "".join(character if character.isprintable() else "?" for character in text)

@@ -23,7 +23,17 @@ from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of, last_chunk
 from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.messages import VERSION, Control, Failure, Join, Joined, Message, Result, Work
+from qdgrasp_protocol.messages import (
+    VERSION,
+    Control,
+    Failure,
+    Join,
+    Joined,
+    Message,
+    Result,
+    Work,
+    short,
+)
 from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
 from qdgrasp_worker.desk import Desk
 from qdgrasp_worker.evaluate import Evaluator
@@ -254,7 +264,9 @@ class WorkerService:
                 return None
             part = evaluator.evaluate(work.prior, rows["genome"][place], rows["trial"][place])
             _copy_results(part.rows, rows[place])
-            failures += [Failure(row=place.start + row, reason=reason) for row, reason in part.failures]
+            failures += [
+                Failure(row=place.start + row, reason=short(reason)) for row, reason in part.failures
+            ]
         return Result(
             epoch=work.epoch,
             run=work.run,

@@ -1,0 +1,46 @@
+import hashlib
+
+import pytest
+
+from qdgrasp_protocol import chunks, codec
+from qdgrasp_protocol.bus import Query
+from qdgrasp_protocol.errors import MessageError, NoReply, Refused
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.messages import Chunk
+
+KEYS = Keys("mugs")
+
+
+def digest(payload: bytes) -> str:
+    return hashlib.sha256(payload).hexdigest()
+
+
+@pytest.mark.parametrize("length", [0, 1, chunks.SIZE - 1, chunks.SIZE, chunks.SIZE + 1, 3 * chunks.SIZE])
+def test_a_bundle_of_any_length_arrives_whole(length: int) -> None:
+    payload = bytes(i % 251 for i in range(length))
+    network = LocalNetwork()
+    with network.session() as coordinator, network.session() as worker:
+        coordinator.answer(KEYS.asset(), lambda query: chunks.answer(query, payload, digest(payload)))
+        assert chunks.fetch(worker, "mugs", digest(payload)) == payload
+
+
+@pytest.mark.parametrize("parameters", ["", "i=", "i=2", "i=-1", "i=x", "j=0", "i=²"])
+def test_a_chunk_that_there_is_not_is_refused(parameters: str) -> None:
+    with pytest.raises(Refused, match="is not one of 2"):
+        chunks.answer(Query(KEYS.asset("a"), parameters, b""), bytes(chunks.SIZE + 1), "a")
+
+
+def test_another_scene_is_refused() -> None:
+    with pytest.raises(Refused, match="no such scene"):
+        chunks.answer(Query(KEYS.asset("b"), "i=0", b""), b"scene", "a")
+
+
+def test_what_is_not_the_scene_of_its_digest_is_refused() -> None:
+    network = LocalNetwork()
+    with network.session() as bus:
+        with pytest.raises(NoReply):
+            chunks.fetch(bus, "mugs", "a" * 64)
+        bus.answer(KEYS.asset(), lambda query: codec.encode(Chunk(total=1, data=b"another")))
+        with pytest.raises(MessageError, match="is not aaaaaaaaaaaa"):
+            chunks.fetch(bus, "mugs", "a" * 64)

@@ -1,0 +1,71 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.keys import NAME, AnyJob, Keys, job_name, job_of, last_chunk, matches
+
+WID = "0123456789abcdef" * 2
+
+
+def built(keys: Keys) -> list[str]:
+    """Every concrete key of a job."""
+    return [
+        keys.work(WID),
+        keys.result(WID),
+        keys.ctl(WID),
+        keys.join,
+        keys.asset("a" * 64),
+        keys.outcome(3),
+        keys.recorded,
+        keys.open,
+        keys.log,
+        keys.coordinator_token(3),
+        keys.worker_token(WID),
+        keys.recorder_token("r"),
+        keys.stat("run/run"),
+        keys.event("worker"),
+        keys.meta,
+    ]
+
+
+@given(st.from_regex(NAME, fullmatch=True))
+def test_every_key_says_which_job_it_belongs_to(job: str) -> None:
+    keys = built(Keys(job))
+    assert {job_of(key) for key in keys} == {job}
+    assert len(set(keys)) == len(keys)
+
+
+@given(st.text())
+def test_any_text_can_be_made_a_jobs_name(text: str) -> None:
+    assert NAME.fullmatch(job_name(text))
+
+
+@pytest.mark.parametrize("job", ["", "Mugs", "a/b", "*", "@a", "a" * 65, "mugs\n"])
+def test_a_name_of_other_characters_is_refused(job: str) -> None:
+    with pytest.raises(ImpossibleValue, match="job must be 1 to 64 of the characters"):
+        Keys(job)
+
+
+@pytest.mark.parametrize(
+    "key", ["", "qdgrasp/v1", "qdgrasp/v1/mugs", "qdgrasp/v2/mugs/x", "a/v1/mugs/x", "qdgrasp/v1/*/x"]
+)
+def test_a_key_that_is_not_ours_belongs_to_no_job(key: str) -> None:
+    assert job_of(key) is None
+
+
+def test_patterns_hear_what_they_are_made_for() -> None:
+    keys = Keys("mugs")
+    assert matches(keys.result(), keys.result(WID))
+    assert matches(keys.outcome(), keys.outcome(7))
+    assert matches(keys.worker_token(), keys.worker_token(WID))
+    assert matches(AnyJob().coordinator_token(), keys.coordinator_token(2))
+    assert matches(AnyJob().work(WID), keys.work(WID))
+    assert not matches(keys.worker_token(), Keys("cubes").worker_token(WID))
+    assert last_chunk(keys.outcome(7)) == "7"
+
+
+def test_a_subscriber_to_everything_hears_none_of_the_bulk() -> None:
+    heard = [key for key in built(Keys("mugs")) if matches("qdgrasp/**", key)]
+    assert heard == [key for key in built(Keys("mugs")) if "/@" not in key]
+    assert len(heard) == 9

@@ -1,0 +1,112 @@
+import math
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
+from qdgrasp_protocol.spec import Overlaps, ProtocolName, RunSpec, from_toml, read_run_spec, run_spec, to_toml
+
+LEAST = {"gripper": "panda", "object": "mug"}
+POSITIVE = {"min_value": 1e-6, "allow_nan": False}
+SPECS = st.builds(
+    RunSpec,
+    gripper=st.text(),
+    object=st.text(),
+    mass=st.none() | st.floats(max_value=1000, **POSITIVE),
+    friction=st.none() | st.floats(max_value=10, **POSITIVE),
+    method=st.text(),
+    protocol=st.sampled_from(get_args(ProtocolName)),
+    evaluations=st.integers(1, 10**9),
+    seed=st.integers(0, 2**63 - 1),
+    overlaps=st.sampled_from(get_args(Overlaps)),
+    population=st.integers(1, 4096),
+    mutation_sigma=st.floats(max_value=2, **POSITIVE),
+    mutation_probability=st.floats(max_value=1, **POSITIVE),
+    generations_in_flight=st.integers(1, 16),
+    surface_seed=st.integers(0, 2**63 - 1),
+)
+
+
+@given(SPECS)
+def test_a_spec_comes_back_from_its_toml(spec: RunSpec) -> None:
+    assert from_toml(to_toml(spec)) == spec
+
+
+def test_gripper_and_object_are_enough_and_the_rest_is_as_in_the_paper() -> None:
+    spec = run_spec(dict(LEAST))
+    assert (spec.evaluations, spec.seed, spec.population) == (10_000, 0, 500)
+    assert (spec.mutation_sigma, spec.mutation_probability) == (0.1, 0.3)
+    assert (spec.method, spec.protocol, spec.overlaps) == ("contact_me_scs", "paper", "count")
+
+
+@pytest.mark.parametrize("missing", ["gripper", "object"])
+def test_what_is_missing_is_named_with_its_flag(missing: str) -> None:
+    with pytest.raises(InputError, match=f"'{missing}' is missing; name one with --{missing}"):
+        run_spec({key: value for key, value in LEAST.items() if key != missing})
+
+
+def test_a_misspelt_key_is_refused_with_a_guess_and_all_known_keys() -> None:
+    with pytest.raises(UnknownKey) as caught:
+        run_spec(LEAST | {"evaluation": 100}, "my.toml")
+    words = str(caught.value)
+    assert words.startswith("my.toml: unknown key 'evaluation'. Did you mean 'evaluations'?")
+    assert all(name in words for name in RunSpec.__struct_fields__)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("evaluations", -5, "a whole number at least 1"),
+        ("evaluations", 0, "a whole number at least 1"),
+        ("evaluations", 100.5, "a whole number"),
+        ("evaluations", "100", "a whole number"),
+        ("evaluations", True, "a whole number"),
+        ("evaluations", 10**30, "a whole number"),
+        ("seed", -1, "a whole number at least 0"),
+        ("seed", 2**63, "a whole number at least 0"),
+        ("mass", 0, "a number greater than 0"),
+        ("mass", -0.5, "a number greater than 0"),
+        ("mass", math.inf, "a number greater than 0"),
+        ("mass", math.nan, "a number greater than 0"),
+        ("friction", 11.0, "a number greater than 0 and at most 10"),
+        ("population", 0, "a whole number at least 1"),
+        ("mutation_probability", 1.5, "a number greater than 0 and at most 1"),
+        ("mutation_sigma", 0.0, "a number greater than 0"),
+        ("generations_in_flight", 17, "a whole number at least 1 and at most 16"),
+        ("protocol", "papr", "one of 'paper', 'released'"),
+        ("overlaps", "ignore", "one of 'count', 'redraw'"),
+        ("gripper", 3, "text"),
+        ("method", ["a"], "text"),
+    ],
+)
+def test_an_impossible_value_is_refused_with_what_is_possible(key: str, value: object, expected: str) -> None:
+    with pytest.raises(ImpossibleValue) as caught:
+        run_spec(LEAST | {key: value})
+    assert str(caught.value).startswith(f"spec: {key} must be {expected}")
+    assert str(caught.value).endswith(f"got {value!r}.")
+    assert caught.value.exit_code == 2
+
+
+def test_a_whole_number_may_stand_for_a_number() -> None:
+    assert run_spec(LEAST | {"mass": 1}).mass == 1.0
+
+
+def test_a_file_that_is_missing_or_no_toml_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"No spec can be read at '.*none\.toml': No such file"):
+        read_run_spec(tmp_path / "none.toml")
+    with pytest.raises(InputError, match="Is a directory"):
+        read_run_spec(tmp_path)
+    for content in (b"gripper = ", b"\xff\xfe", b"a = 1\na = 2"):
+        (tmp_path / "bad.toml").write_bytes(content)
+        with pytest.raises(InputError, match=r"bad\.toml is not TOML"):
+            read_run_spec(tmp_path / "bad.toml")
+    with pytest.raises(InputError, match="spec is not TOML"):
+        from_toml("gripper = ")
+
+
+def test_a_file_says_what_flags_say(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text('gripper = "panda"\nobject = "mug"\nseed = 3\n')
+    assert run_spec(read_run_spec(tmp_path / "run.toml")) == run_spec(LEAST | {"seed": 3})
