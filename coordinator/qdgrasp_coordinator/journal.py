@@ -61,9 +61,8 @@ class Journal:
         if not file.is_file():
             raise FolderError(f"{folder} holds no journal ({FILE}).")
         with readable(file):
-            database = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
+            database = _connect(file)
             try:
-                database.execute("BEGIN")
                 return cls(database, file)
             except BaseException:
                 database.close()
@@ -175,3 +174,20 @@ class Journal:
     def _all(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         with readable(self._file):
             return self._database.execute(query, values).fetchall()
+
+
+def _connect(file: Path) -> sqlite3.Connection:
+    """A connection to read a journal as it is now."""
+    for mode in ("mode=ro", "mode=ro&immutable=1"):  # the second on a disk that nobody can write
+        database = sqlite3.connect(f"{file.absolute().as_uri()}?{mode}", uri=True, isolation_level=None)
+        try:
+            database.execute("BEGIN")
+            database.execute("PRAGMA user_version").fetchone()
+        except sqlite3.DatabaseError as error:
+            database.close()
+            if error.sqlite_errorcode != sqlite3.SQLITE_CANTOPEN:
+                raise
+            reason = error
+        else:
+            return database
+    raise reason

@@ -16,6 +16,7 @@ from qdgrasp_protocol.rows import Shape
 FILE = "run.sqlite"
 APPLICATION = 0x71646772  # "qdgr"
 FORMAT = 1
+UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM}
 SCHEMA = """
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;
 CREATE TABLE turns (
@@ -88,4 +89,6 @@ def readable(file: Path) -> Iterator[None]:
     except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode == sqlite3.SQLITE_NOTADB:
             raise FolderError(f"{file} is not a journal of qdgrasp.") from None
+        if error.sqlite_errorcode in UNREADABLE:
+            raise FolderError(f"{file} cannot be read: {error}.") from None
         raise damaged(file, str(error)) from None

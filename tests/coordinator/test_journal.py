@@ -280,3 +280,15 @@ class TestRefusals:
             database.execute("DELETE FROM blocks WHERE first = 10")
         with Journal.open(tmp_path) as journal, pytest.raises(FolderError, match="is damaged"):
             list(journal.blocks())
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_journal_in_a_folder_that_nobody_may_write_is_read(tmp_path: Path) -> None:
+    rows = make_rows(20)
+    record(tmp_path, rows, [20])
+    tmp_path.chmod(0o555)
+    try:
+        with Journal.open(tmp_path) as journal:
+            assert journal.rows(0, 100).tobytes() == rows.tobytes()
+    finally:
+        tmp_path.chmod(0o755)
