@@ -12,7 +12,7 @@ from qdgrasp_protocol.messages import Failure, Work
 from qdgrasp_protocol.rows import Rows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Batch:
     """Rows of one generation of one run that are leased together."""
 
@@ -35,7 +35,7 @@ class Batch:
     def __len__(self) -> int:
         return len(self.indices)
 
-    def part(self, batch_id: bytes, places: slice, failed: int) -> "Batch":
+    def part(self, batch_id: bytes, places: slice, failed: int = 0) -> "Batch":
         """Some of its rows as another batch."""
         return Batch(
             batch_id,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from qdgrasp_coordinator.batch import Lease, Settled, Settlement
-from qdgrasp_coordinator.dispatch import GRACE, REMEMBERED, SCENES, STRIKES, Dispatch
+from qdgrasp_coordinator.dispatch import REMEMBERED, STRIKES, Dispatch
 from qdgrasp_coordinator.pace import LEASE_SECONDS
+from qdgrasp_coordinator.roster import GRACE, SCENES
 from qdgrasp_protocol.codec import decode, encode
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work
@@ -192,7 +193,9 @@ def test_only_the_scenes_that_a_worker_keeps_open_are_remembered() -> None:
     for number in range(SCENES + 3):
         submit(dispatch, 1, f"run{number}", scene=f"{number}")
         settle(dispatch, dispatch.leases(0.0)[0], 0.0)
-    assert list(dispatch._workers[ANN].scenes) == [f"{number}" for number in range(3, SCENES + 3)]
+    worker = dispatch._roster.get(ANN)
+    assert worker is not None
+    assert list(worker.scenes) == [f"{number}" for number in range(3, SCENES + 3)]
 
 
 # 3. The join fence.
@@ -241,6 +244,9 @@ def test_nobody_may_go_on_with_what_it_was_never_leased() -> None:
     dispatch = with_work(n=2)
     (lease,) = dispatch.leases(0.0)
     assert dispatch.join(EVE, 1, 2, [lease.batch.id], 0.1) == [lease.batch.id]
+    dispatch.gone(ANN, 0.1)
+    dispatch.tick(0.1 + GRACE)
+    assert dispatch.join(EVE, 2, 2, [lease.batch.id], 1.2) == [lease.batch.id]
 
 
 @pytest.mark.parametrize("number", [1, 2])
