@@ -1,7 +1,7 @@
 """Decode: genomes to hand poses with initial postures, a batch at a time.
 
 It ends by rounding to float32. Trigonometry in float64 differs in the last bits between processors; rounded
-it does not, and exactly the rounded pose is simulated, stored and exported (DESIGN.md, section 4).
+it does not, and exactly the rounded pose is simulated, stored and exported (docs/reproducibility.md).
 """
 
 import numpy as np

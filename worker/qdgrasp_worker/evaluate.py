@@ -33,7 +33,7 @@ class Evaluator:
     """One Bullet world for one scene; a context manager that leaves it.
 
     An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
-    batch, or of the process (DESIGN.md, section 4).
+    batch, or of the process (docs/reproducibility.md).
 
     Raises
     ------
@@ -76,13 +76,12 @@ class Evaluator:
         grasps = self._decoder(prior)(genomes)
         rows = self.shape(prior).empty(len(genomes))
         rows["genome"], rows["trial"] = genomes, trials
-        failures = []
-        for i, refusal in enumerate(refusals(genomes, trials, grasps)):
-            verdict = refusal or self._verdict(grasps[i])
-            if isinstance(verdict, str):
-                failures.append((i, verdict[:REASON_LENGTH]))
-            else:
-                fill(rows[i : i + 1], grasps, i, verdict)
+        found = [
+            refusal or self._verdict(grasps[i]) for i, refusal in enumerate(refusals(genomes, trials, grasps))
+        ]
+        verdicts = {i: verdict for i, verdict in enumerate(found) if isinstance(verdict, Verdict)}
+        fill(rows, grasps, verdicts)
+        failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
         return Evaluation(rows, failures)
 
     def _decoder(self, prior: str) -> Decoder:
@@ -110,16 +109,23 @@ def refusals(genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: G
     return [next((reason for reason, holds in reasons.items() if holds[i]), "") for i in range(len(trials))]
 
 
-def fill(row: Rows, grasps: Grasps, i: int, verdict: Verdict) -> None:
-    """Write what was found on grasp `i` to a view of its row (1,)."""
-    row["outcome"] = verdict.outcome
-    row["fitness"] = verdict.fitness
-    row["proposals"] = 1
-    row["descriptor"] = grasps.positions[i]
-    row["base_to_object"][:, :3] = grasps.positions[i]
-    row["base_to_object"][:, 3:] = grasps.quaternions[i]
-    row["joints"] = verdict.joints
-    row["surface_point"] = grasps.surface_points[i]
-    row["nu"] = grasps.nu[i]
-    row["contacts"] = verdict.contacts
-    row["penetration"] = verdict.penetration
+def fill(rows: Rows, grasps: Grasps, verdicts: dict[int, Verdict]) -> None:
+    """Write the result columns of those rows that have a verdict, by their place in the batch."""
+    if not verdicts:
+        return
+    places, found = list(verdicts), list(verdicts.values())
+    positions = grasps.positions[places]
+    columns = {
+        "outcome": [verdict.outcome for verdict in found],
+        "fitness": [verdict.fitness for verdict in found],
+        "proposals": 1,
+        "descriptor": positions,
+        "base_to_object": np.concatenate([positions, grasps.quaternions[places]], axis=1),
+        "joints": [verdict.joints for verdict in found],
+        "surface_point": grasps.surface_points[places],
+        "nu": grasps.nu[places],
+        "contacts": [verdict.contacts for verdict in found],
+        "penetration": [verdict.penetration for verdict in found],
+    }
+    for name, values in columns.items():
+        rows[name][places] = values

@@ -1,4 +1,4 @@
-"""The evaluation protocols: one table of frozen values (DESIGN.md, section 5).
+"""The evaluation protocols: one table of frozen values (docs/protocols.md).
 
 Common to all of them: no gravity, 240 steps a second, 100 steps of closing, then two shakes with three
 targets of 68 steps each. Figures are those of the public code of Huber et al. 2024 (commit 0b8f8da).

@@ -1,6 +1,7 @@
 """The world: one scene in Bullet, which forgets everything between two evaluations."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
 from qdgrasp_worker.bodies import Hand, Target
@@ -26,22 +27,12 @@ class World:
 
     def __init__(self, scene: Scene) -> None:
         self._bullet = Bullet()
-        try:
+        with ExitStack() as undo:
+            undo.callback(self._bullet.close)
             self._hand = Hand(self._bullet, scene.gripper)
             self._target = Target(self._bullet, scene.object)
-        except BaseException:
-            self._bullet.close()
-            raise
-        gripper = scene.gripper
-        self.finger_links = self._hand.finger_links
-        self.opened = [joint.opened for joint in gripper.joints]
-        self._at_zero = [0.0] * (len(self._hand.carrier) + len(self._hand.others))
-        self._closing = {
-            label: self._commands(gripper, joints) for label, joints in closing_joints(gripper).items()
-        }
-        carrier = zip(self._hand.carrier, gripper.carrier, strict=True)
-        self._shaken = {joint.shake: (index, joint) for index, joint in carrier}
-        self._sweep = self._measure_sweep(gripper)
+            self._prepare(scene.gripper)
+            undo.pop_all()
 
     def close(self) -> None:
         """Leave Bullet and free the world; closing twice is allowed."""
@@ -55,8 +46,7 @@ class World:
         """
         bullet, hand = self._bullet, self._hand
         bullet.place(hand.body, AWAY, UPRIGHT)
-        joints = [*hand.carrier, *hand.others, *hand.fingers]
-        bullet.set_joints(hand.body, joints, [*self._at_zero, *posture])
+        bullet.set_joints(hand.body, self._joints, [*self._at_zero, *posture])
         bullet.place(self._target.body, STILL, UPRIGHT)
         bullet.halt(self._target.body)
         bullet.detect()
@@ -106,6 +96,19 @@ class World:
     def fingers(self) -> list[float]:
         """The positions of the finger joints, in the gripper's order [rad or m]."""
         return self._bullet.joints(self._hand.body, self._hand.fingers)
+
+    def _prepare(self, gripper: SceneGripper) -> None:
+        """Work out once what every evaluation needs."""
+        self.finger_links = self._hand.finger_links
+        self.opened = [joint.opened for joint in gripper.joints]
+        self._joints = [*self._hand.carrier, *self._hand.others, *self._hand.fingers]
+        self._at_zero = [0.0] * (len(self._hand.carrier) + len(self._hand.others))
+        self._closing = {
+            label: self._commands(gripper, joints) for label, joints in closing_joints(gripper).items()
+        }
+        carrier = zip(self._hand.carrier, gripper.carrier, strict=True)
+        self._shaken = {joint.shake: (index, joint) for index, joint in carrier}
+        self._sweep = self._measure_sweep(gripper)
 
     def _measure_sweep(self, gripper: SceneGripper) -> Sweep:
         """Close the hand far from the object, with its free joints all along their ranges."""
