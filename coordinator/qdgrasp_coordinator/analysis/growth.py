@@ -6,25 +6,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.cells import cells, keys
+from qdgrasp_coordinator.tally import counted
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import Overlaps
 
 
 @dataclass(frozen=True)
 class Growth:
-    """After each evaluation of a run, (n,)."""
+    """Sums over the rows of a journal, before its first row and after each: (n + 1,)."""
 
+    evaluations: NDArray[np.int64]
+    """Counted evaluations."""
     successes: NDArray[np.int64]
     cells: NDArray[np.int64]
     """Distinct 1 cm cells with a success."""
 
 
-def growth(rows: Rows) -> Growth:
-    """Count along rows in journal order; nominal evaluations, overlaps included."""
-    nominal = rows[rows["trial"] == 0]
-    success = nominal["outcome"] >= Outcome.DROPPED
+def growth(rows: Rows, overlaps: Overlaps = "count") -> Growth:
+    """Sum along rows in journal order; trials above 0 add nothing."""
+    success = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
     places = np.flatnonzero(success)
-    _, first = np.unique(keys(cells(nominal["descriptor"][places])), return_index=True)
-    new = np.zeros(len(nominal), dtype=bool)
+    _, first = np.unique(keys(cells(rows["descriptor"][places])), return_index=True)
+    new = np.zeros(len(rows), dtype=bool)
     new[places[first]] = True
-    return Growth(np.cumsum(success), np.cumsum(new))
+    return Growth(*(np.cumsum(np.r_[0, steps]) for steps in (counted(rows, overlaps), success, new)))

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.analysis.growth import growth
+from qdgrasp_coordinator.analysis.growth import Growth, growth
 from qdgrasp_coordinator.analysis.layers import FINE
 from qdgrasp_coordinator.analysis.views import FITNESS, View, best_in_cells, view_of_cells, view_of_hands
 from qdgrasp_protocol.outcome import Outcome
@@ -42,31 +42,31 @@ def draw_grasps(
     path
         The PNG file to write, in a folder that exists.
     spec
-        Names the method and the seed in the title.
+        Names method and seed in the title, and says whether overlaps count as evaluations.
     pixels
         Width of the view of the hands; the picture is 1.8 times as wide.
     """
     nominal = rows[rows["trial"] == 0]
     successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
-    best = best_in_cells(successes)
+    best, grown = best_in_cells(successes), growth(nominal, spec.overlaps if spec else "count")
     figure = Figure(figsize=SIZE, dpi=pixels / (SIZE[1] * HANDS[3]), facecolor="white")
-    _title(figure, scene, spec, _counted(nominal, len(best)))
+    _title(figure, scene, spec, _in_words(successes, grown))
     _hands(figure.add_axes(HANDS), view_of_hands(scene, successes, pixels), successes)
     _cells(figure.add_axes(CELLS), view_of_cells(scene, best, round(pixels * CELLS[3] / HANDS[3])))
-    _growth(figure.add_axes(GROWTH), nominal)
+    _growth(figure.add_axes(GROWTH), grown)
     figure.savefig(path, format="png")
 
 
-def _counted(nominal: Rows, cells: int) -> str:
-    found = [f"{int((nominal['outcome'] >= least).sum()):,} {word}" for least, word in FOUND.items()]
-    return f"{len(nominal):,} evaluations  \u2192  {', '.join(found)}; {cells:,} cells"
+def _in_words(successes: Rows, grown: Growth) -> str:
+    found = [f"{int((successes['outcome'] >= least).sum()):,} {word}" for least, word in FOUND.items()]
+    return f"{grown.evaluations[-1]:,} evaluations  \u2192  {', '.join(found)}; {grown.cells[-1]:,} cells"
 
 
-def _title(figure: Figure, scene: Scene, spec: RunSpec | None, counted: str) -> None:
+def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> None:
     made = "" if spec is None else f"{spec.method}, seed {spec.seed}, "
-    words = f"{made}protocol {scene.protocol}:   {counted}"
     title = f"{scene.gripper.name}  on  {scene.object.name}"
     figure.text(0.022, 0.951, title, size=26, weight="bold", color=INK, va="center")
+    words = f"{made}protocol {scene.protocol}:   {found}"
     figure.text(0.022, 0.911, words, size=13.5, color=FAINT, va="center")
 
 
@@ -98,21 +98,19 @@ def _cells(axes: Axes, view: View) -> None:
         axes.text(0.045, height, words, color=FAINT, size=12, transform=axes.transAxes, va="center")
 
 
-def _growth(axes: Axes, nominal: Rows) -> None:
-    grown = growth(nominal)
-    most = max(int(grown.successes.max(initial=0)), 1)
-    apart = int((grown.successes - grown.cells).max(initial=0)) > LABELS_APART * most
+def _growth(axes: Axes, grown: Growth) -> None:
+    most, end = max(int(grown.successes[-1]), 1), int(grown.evaluations[-1])
+    apart = (grown.successes[-1] - grown.cells[-1]) / most > LABELS_APART
     for word, series, shift in (
         ("successes", grown.successes, 0),
         ("cells", grown.cells, 0 if apart else -34),
     ):
-        line = np.concatenate([[0], series])
-        axes.plot(line, color=LINES[word], linewidth=2.4)
+        axes.plot(grown.evaluations, series, color=LINES[word], linewidth=2.4)
         axes.annotate(
-            f"{line[-1]:,}\n{word}", (len(series), int(line[-1])), (8, shift), textcoords="offset points",
+            f"{series[-1]:,}\n{word}", (end, int(series[-1])), (8, shift), textcoords="offset points",
             color=LINES[word], size=12, weight="bold", va="center", annotation_clip=False,
         )  # fmt: skip
-    axes.set(xlim=(0, max(len(nominal), 1)), ylim=(0, 1.04 * most))
+    axes.set(xlim=(0, max(end, 1)), ylim=(0, 1.04 * most))
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(FAINT)
     axes.tick_params(colors=FAINT, labelsize=11)

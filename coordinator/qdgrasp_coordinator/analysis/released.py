@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.surface import BULLET_MARGIN
 
 BIN = 0.01
 """The bins are this wide or a little wider [m]."""
-HULL_MARGIN = 0.004
-"""What Bullet's bounding box of an object exceeds its convex parts by, on each side [m]; measured."""
 HAND_EXTENT = {"panda_2f": 0.2084, "robotiq_2f": 0.1681, "bh280": 0.3393, "allegro": 0.2498, "shadow": 0.5415}
 """The largest extent of each reference hand's bounding box, which that code adds to the object's [m]."""
 SAME_HAND = {"panda": "panda_2f"}
@@ -80,7 +79,7 @@ def released_archive(scene: Scene) -> ReleasedArchive | None:
     if extent is None:
         return None
     hulls = _hull_vertices(scene.object.collision) + np.array(scene.object.com_in_mesh)
-    low, high = hulls.min(axis=0) - HULL_MARGIN, hulls.max(axis=0) + HULL_MARGIN
+    low, high = hulls.min(axis=0) - BULLET_MARGIN, hulls.max(axis=0) + BULLET_MARGIN
     side = extent + float((high - low).max())
     return ReleasedArchive((low + high) / 2 - side / 2, side)
 
