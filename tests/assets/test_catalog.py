@@ -1,0 +1,125 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from qdgrasp_assets.catalog import build_scene, gripper_names, grippers, object_names, objects
+from qdgrasp_assets.scene import pack_scene, unpack_scene
+from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.spec import RunSpec
+
+DIGEST = """
+import sys
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_protocol.spec import RunSpec
+for name in sys.argv[1:]:
+    for protocol in ("paper", "released"):
+        print(pack_scene(build_scene(RunSpec(gripper="panda", object=name, protocol=protocol))).digest)
+"""
+STAND_INS = ("cracker_box", "mug", "rubiks_cube", "tennis_ball")
+
+
+def scene(**values):
+    return build_scene(RunSpec(**{"gripper": "panda", "object": "mug", **values}))
+
+
+def test_a_scene_is_the_same_bytes_in_a_fresh_process():
+    here = [
+        pack_scene(scene(object=name, protocol=protocol)).digest
+        for name in STAND_INS
+        for protocol in ("paper", "released")
+    ]
+    fresh = subprocess.run(
+        [sys.executable, "-c", DIGEST, *STAND_INS], capture_output=True, text=True, check=True
+    )
+    assert fresh.stdout.split() == here
+    assert len(set(here)) == len(here)
+
+
+def test_a_scene_survives_its_bundle():
+    made = scene()
+    assert unpack_scene(pack_scene(made).payload) == made
+
+
+def test_the_surface_seed_is_part_of_the_scene():
+    assert scene(surface_seed=1).points != scene(surface_seed=0).points
+
+
+def test_a_cloud_lies_on_the_mesh_that_the_scene_holds():
+    made = scene()
+    vertices = np.frombuffer(made.object.mesh_vertices, "<f4").reshape(-1, 3)
+    assert vertices.min(axis=0) == pytest.approx(made.object_low)
+    assert vertices.max(axis=0) == pytest.approx(made.object_high)
+    assert (made.surface_points >= np.float32(made.object_low) - 1e-6).all()
+    assert len(made.surface_points) == len(made.surface_normals)
+
+
+def test_mass_and_friction_of_the_spec_win():
+    made = scene(mass=0.5, friction=0.8).object
+    assert (made.mass, made.lateral_friction) == (0.5, 0.8)
+    plain = scene().object
+    assert (plain.mass, plain.lateral_friction) == (0.118, 0.5)
+    assert (plain.rolling_friction, plain.spinning_friction) == (0.01, 0.1)
+
+
+def test_a_mesh_file_is_an_object_around_its_centre_of_mass(tmp_path):
+    path = tmp_path / "bar.stl"
+    trimesh.creation.box((0.02, 0.02, 0.1)).apply_translation((0.3, 0.1, 0.05)).export(path)
+    for protocol in ("paper", "released"):
+        made = scene(object=str(path), mass=0.3, protocol=protocol).object
+        assert (made.name, made.source, made.collision_source) == ("bar", "bar.stl", "own hull")
+        assert made.mass == 0.3
+        assert made.com_in_mesh == pytest.approx((0.3, 0.1, 0.05), abs=1e-6)
+        vertices = np.frombuffer(made.mesh_vertices, "<f4").reshape(-1, 3)
+        assert np.abs(vertices).max(axis=0) == pytest.approx((0.01, 0.01, 0.05), abs=1e-6)
+
+
+def test_a_mesh_file_needs_a_mass(tmp_path):
+    path = tmp_path / "bar.stl"
+    trimesh.creation.box((0.02, 0.02, 0.1)).export(path)
+    with pytest.raises(AssetError, match="has no mass; say how heavy the object is with --mass"):
+        scene(object=str(path))
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones():
+    with pytest.raises(UnknownName, match=r"Unknown gripper 'pandda'\. Did you mean 'panda'") as gripper:
+        scene(gripper="pandda")
+    with pytest.raises(UnknownName, match=r"Unknown object 'mugg'\. Did you mean 'mug'") as thing:
+        scene(object="mugg")
+    assert "TOML file" in str(gripper.value)
+    assert "mesh file" in str(thing.value)
+    assert all(name in str(thing.value) for name in STAND_INS)
+
+
+def test_an_unknown_scan_is_an_unknown_name():
+    with pytest.raises(UnknownName, match="Unknown object 'ycb_teapot'"):
+        scene(object="ycb_teapot")
+
+
+def test_the_catalog_lists_what_is_there(monkeypatch, tmp_path):
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path))
+    assert gripper_names() == ("panda",)
+    assert object_names() == STAND_INS
+    assert all(entry.source == "built in" and entry.licence for entry in (*grippers(), *objects()))
+
+
+def test_the_catalog_lists_the_reference_data(asset_path):
+    assert set(gripper_names()) > {"panda", "ref_panda_2f"}
+    assert len(object_names()) == 14
+    assert {entry.source for entry in objects()} == {"built in", "asset path"}
+
+
+def test_a_reference_scene_is_the_same_bytes_again(asset_path):
+    spec = {"gripper": "ref_panda_2f", "object": "ycb_power_drill"}
+    assert pack_scene(scene(**spec)).digest == pack_scene(scene(**spec)).digest
+
+
+def test_the_worker_needs_no_geometry_library():
+    """It imports `scene` alone, which must not load what only building needs."""
+    check = (
+        "import sys, qdgrasp_assets.scene; sys.exit(bool({'trimesh', 'scipy', 'coacd'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0

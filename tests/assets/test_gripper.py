@@ -1,0 +1,143 @@
+import re
+from pathlib import Path
+
+import pytest
+
+from qdgrasp_assets.catalog import find_gripper, gripper_names
+from qdgrasp_assets.gripper import read_gripper
+from qdgrasp_protocol.errors import AssetError, UnknownKey
+
+
+def read(path):
+    return read_gripper(path, "claw", "claw.toml")
+
+
+def test_a_gripper_takes_what_its_toml_leaves_out_from_the_urdf(claw):
+    hand = read(claw).on_carrier("paper")
+    (joint,) = hand.joints
+    assert (joint.opened, joint.closed, joint.effort, joint.velocity) == (0.0, 1.2, 10.0, 2.0)
+    assert hand.approach_axis == (0.0, 0.0, 1.0)
+    assert list(hand.meshes) == ["0_palm.stl"]
+    assert "visual" not in hand.urdf
+    assert 'filename="0_palm.stl"' in hand.urdf
+
+
+def test_a_gripper_that_is_not_listed_is_named_by_its_file(claw):
+    gripper = find_gripper(str(claw))
+    assert (gripper.name, gripper.source) == ("claw", "claw.toml")
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "sentence"),
+    [
+        ("claw.toml", "[joints.bend]", "[joints.bent]", "joints names 'bent', which"),
+        ("claw.toml", '["finger"]', '["thumb"]', "finger_links names 'thumb', which"),
+        ("claw.toml", '"palm"', '"hand"', "base_link names 'hand', which"),
+        ("claw.toml", "[joints.bend]", "[free_joints.twist]\nlow=0\nhigh=1\n[joints.bend]", "names 'twist'"),
+        ("claw.toml", "[joints.bend]", '[[synergies]]\nname="a"\njoints=["b"]\n[joints.bend]', "synergy 'a'"),
+        (
+            "claw.toml",
+            "[joints.bend]\nopen = 0.0\nclosed = 1.2\n",
+            "[joints]\n",
+            "'bend' of '.*', which moves",
+        ),
+        ("claw.toml", "closed = 1.2", "closed = 1.6", r"closed is 1.6, outside the URDF's limits 0 to 1.5"),
+        (
+            "claw.toml",
+            "closed = 1.2",
+            "closed = 1.2\neffort = 0.0",
+            "effort of the joint 'bend' must be greater",
+        ),
+        ("claw.toml", "closed = 1.2", 'closed = "shut"', r"Expected `float.*\$.joints"),
+        ("claw.toml", "[0.0, 0.03]", "[0.05, 0.03]", r"standoff must be \[least, greatest\]"),
+        ("claw.toml", "[0, 0, 2]", "[0, 0, 0]", "approach_axis must not be zero"),
+        ("claw.toml", "palm_offset = 0.05", "palm_offset = -1", "palm_offset must be 0 or more"),
+        ("claw.toml", "palm_offset = 0.05", "", "missing required field `palm_offset`"),
+        ("claw.toml", '["finger"]', "[]", "finger_links must name at least one"),
+        ("claw.toml", "standoff =", "standoff", "is not TOML"),
+        ("claw.toml", '"claw.urdf"', '"none.urdf"', "No URDF can be read at '.*none.urdf'"),
+        ("claw.toml", '"claw.urdf"', '"asset://none.urdf"', "needs 'none.urdf' of the reference data"),
+        ("claw.urdf", "</robot>", "", "cannot be parsed as a URDF"),
+        ("claw.urdf", "robot", "sdf", "root element is <sdf>"),
+        ("claw.urdf", 'xyz="0 0 0.1"', 'xyz="0 0 up"', r"must hold 3 numbers"),
+        ("claw.urdf", '<child link="finger"/>', '<child link="fngr"/>', "names the link 'fngr'"),
+        ("claw.urdf", '<child link="finger"/>', '<child link="palm"/>', "is not one tree"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_a_sentence_that_names_it(claw, edit, file, old, new, sentence):
+    edit(claw.parent / file, old, new)
+    with pytest.raises(AssetError, match=sentence) as refused:
+        read(claw).on_carrier("paper")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [("standoff =", "standof =", "standof"), ("closed =", "close =", "close")],
+)
+def test_a_misspelt_key_is_refused_with_the_known_ones(claw, edit, old, new, key):
+    edit(claw, old, new)
+    with pytest.raises(UnknownKey, match=f"unknown key '{key}'. Did you mean '{key}"):
+        read(claw)
+
+
+def test_a_missing_mesh_is_named(claw):
+    (claw.parent / "palm.stl").unlink()
+    with pytest.raises(AssetError, match=r"refers to the mesh 'palm.stl', which does not exist"):
+        read(claw).on_carrier("paper")
+
+
+def test_a_package_reference_is_found_in_a_folder_above_the_urdf(claw, edit):
+    edit(claw.parent / "claw.urdf", 'filename="palm.stl"', 'filename="package://claw_description/palm.stl"')
+    folder = claw.parent / "claw_description"
+    folder.mkdir()
+    (claw.parent / "palm.stl").rename(folder / "palm.stl")
+    assert list(read(claw).on_carrier("paper").meshes) == ["0_palm.stl"]
+
+
+def test_there_is_no_gripper_where_there_is_no_file():
+    with pytest.raises(AssetError, match=r"No gripper can be read at 'none.toml'"):
+        find_gripper("none.toml")
+
+
+def test_the_panda_is_built_in_with_the_kinematics_of_the_experiment():
+    hand = find_gripper("panda").on_carrier("paper")
+    assert [(joint.opened, joint.closed, joint.effort, joint.velocity) for joint in hand.joints] == [
+        (0.04, 0.0, 100.0, 100.0)
+    ] * 2
+    assert (hand.palm_offset, hand.standoff) == (0.066, (0.0, 0.046))
+    robot = find_gripper("panda").robot
+    assert robot.mass == pytest.approx(0.7)
+    open_hand = robot.forward({"panda_finger_joint1": 0.04, "panda_finger_joint2": 0.04})
+    assert open_hand["panda_leftfinger"][:3, 3] == pytest.approx([0, 0.04, 0.0584])
+    assert open_hand["panda_rightfinger"][:3, 3] == pytest.approx([0, -0.04, 0.0584])
+
+
+def test_an_obj_in_the_bundle_names_no_materials_that_are_missing_there():
+    for content in find_gripper("panda").on_carrier("paper").meshes.values():
+        assert not re.search(rb"^(mtllib|usemtl)", content, re.MULTILINE)
+        assert content.count(b"\nv ") > 10
+
+
+CLOSED_AT_LOWER = ("ref_allegro", "ref_bh280", "ref_panda_2f", "ref_robotiq_2f", "ref_shadow")
+
+
+@pytest.mark.parametrize("name", CLOSED_AT_LOWER)
+def test_a_reference_hand_closes_to_the_lower_limits_of_its_urdf(asset_path: Path, name):
+    assert name in gripper_names()
+    gripper = find_gripper(name)
+    joints = gripper.on_carrier("released").joints
+    driven = [joint for joint in joints if joint.driven]
+    assert driven
+    for joint in driven:
+        assert joint.closed == pytest.approx(gripper.robot.joint(joint.name).lower, abs=1e-4)
+
+
+def test_a_reference_hand_without_its_data_says_where_it_was_looked_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path))
+    assert "ref_panda_2f" not in gripper_names()
+    with pytest.raises(AssetError, match=rf"QDGRASP_ASSET_PATH is '{tmp_path}'"):
+        find_gripper("ref_panda_2f")
+    monkeypatch.delenv("QDGRASP_ASSET_PATH")
+    with pytest.raises(AssetError, match="QDGRASP_ASSET_PATH is not set"):
+        find_gripper("ref_panda_2f")
