@@ -24,14 +24,18 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 def demo(out: Path = Path("runs/demo")) -> None:
     """Fill an archive of grasps for the built-in Panda hand and mug, and draw them."""
     clear(out)
-    start(full_spec(dict(SPEC)), out, Team(options.cores()))
-    (out / MARKER).touch()
+    start(full_spec(dict(SPEC)), out, Team(options.cores()), begun=mark)
     picture = out / "grasps.png"
     folder = RunFolder.open(out)
     with folder.journal() as journal:
         rows = np.concatenate([journal.shape.empty(0), *journal.blocks()])
     draw_grasps(folder.scene(), rows, picture, spec=folder.spec)
     typer.echo(f"Records: {out / 'run.sqlite'}\nPicture: {picture}")
+
+
+def mark(folder: RunFolder) -> None:
+    """Mark a folder as the demo's, so that the next demo may replace it."""
+    (folder.path / MARKER).touch()
 
 
 def clear(out: Path) -> None:

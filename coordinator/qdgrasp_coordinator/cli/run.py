@@ -1,5 +1,6 @@
 """`qdgrasp run`: fill an archive of grasps."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -72,13 +73,20 @@ def run(
     start(asked, out or Path("runs") / preparation.default_name(asked), team, job)
 
 
-def start(spec: RunSpec, out: Path, team: Team, job: str | None = None) -> None:
-    """Begin a run in a new folder and carry it out."""
+def start(
+    spec: RunSpec,
+    out: Path,
+    team: Team,
+    job: str | None = None,
+    begun: Callable[[RunFolder], None] = lambda _folder: None,
+) -> None:
+    """Begin a run in a new folder and carry it out; `begun` is called in between."""
     with lifetime("qdgrasp run") as stop, display(out.name, spec.evaluations) as shown:
         RunFolder.check_free(out)
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         _, bundle = preparation.make_bundle(spec)
         folder = RunFolder.create(out, spec, bundle, job=job)
+        begun(folder)
         carry_out(folder, team, shown, stop)
     finish(folder, stop.exit_code)
 
@@ -96,7 +104,10 @@ def finish(folder: RunFolder, exit_code: int) -> None:
     if exit_code:
         typer.echo(f"Stopped; `qdgrasp resume {folder.path}` goes on where it stopped.", err=True)
         raise typer.Exit(exit_code)
-    typer.echo(summary(folder).words)
+    found = summary(folder)
+    typer.echo(found.words)
+    if found.evaluations < found.budget:
+        typer.echo(f"It ended early: {found.ended}.")
 
 
 def _merged(spec: Path | None, flags: dict[str, Any]) -> dict[str, Any]:
