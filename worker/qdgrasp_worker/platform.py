@@ -1,4 +1,4 @@
-"""The platform: what decides the bits of results besides scene, genome and trial (docs/reproducibility.md)."""
+"""The platform: what decides the bits of results besides scene and genome (docs/reproducibility.md)."""
 
 import hashlib
 import platform as machine
