@@ -9,7 +9,7 @@ def digest(journal: Journal) -> str:
     """The sha256 over the bytes of the journal's rows in order, 64 hex digits.
 
     Where the blocks that hold the rows begin, and what they cost, when, and on which host, is not in it
-    (DESIGN.md, 4.3).
+    (docs/reproducibility.md).
     """
     total = hashlib.sha256()
     for rows in journal.blocks():

@@ -1,6 +1,6 @@
 """Dispatch: who gets which batch, when a lease is over, and which result counts.
 
-Rules 1 to 6 of PROTOCOL.md as plain state. Evaluation is pure, so whatever is lost in flight is evaluated
+Rules 1 to 6 of docs/bus.md as plain state. Evaluation is pure, so whatever is lost in flight is evaluated
 again, and the first result of a batch is as good as any other. Time is passed in, in seconds of any steady
 clock.
 """

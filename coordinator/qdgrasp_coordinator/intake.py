@@ -1,6 +1,6 @@
 """What a recorder takes of the rows that arrive, and when it commits them: decided without a disk or a bus.
 
-Messages may be lost, repeated, overlap, or come from a coordinator that was replaced (PROTOCOL.md, rule 8).
+Messages may be lost, repeated, overlap, or come from a coordinator that was replaced (docs/bus.md, rule 8).
 Time is passed in, in seconds of any steady clock.
 """
 

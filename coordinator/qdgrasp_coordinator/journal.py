@@ -1,4 +1,4 @@
-"""The journal of a run: every evaluation in order, in `run.sqlite` (DESIGN.md, section 8).
+"""The journal of a run: every evaluation in order, in `run.sqlite` (docs/run-folder.md).
 
 Rows are kept as blocks of packed structured arrays (`rows.Shape.dtype`), one transaction per group of rows;
 beside them stand the successes with what queries need, reasons of errors, the spec and the platform. One

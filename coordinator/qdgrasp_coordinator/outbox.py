@@ -2,7 +2,7 @@
 
 A put is no promise: what was sent may be lost, repeated or overtaken. The outbox knows the number up to
 which the recorder has reported rows durable, and sends everything behind it again when the recorder is new or
-stands still (PROTOCOL.md, rule 8). Time is passed in, in seconds of any steady clock.
+stands still (docs/bus.md, rule 8). Time is passed in, in seconds of any steady clock.
 """
 
 from collections import deque

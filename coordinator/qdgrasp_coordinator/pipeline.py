@@ -2,7 +2,7 @@
 
 Results arrive in any order; the search hears them generation by generation, and the journal is that order:
 by generation, within it nominal rows by index. Pure state: whatever came in between, the rows that
-become final, and what the search is asked, are a function of the spec (DESIGN.md, section 4).
+become final, and what the search is asked, are a function of the spec (docs/reproducibility.md).
 """
 
 from collections import deque

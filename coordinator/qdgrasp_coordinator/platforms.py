@@ -1,4 +1,4 @@
-"""Which workers may serve one job: those whose results have the same bits (DESIGN.md, 4.4)."""
+"""Which workers may serve one job: those whose results have the same bits (docs/reproducibility.md)."""
 
 from collections.abc import Mapping
 

@@ -64,7 +64,7 @@ class Record(ABC):
 
 
 class RecorderLink(Record):
-    """The recorder at the other end of the bus (PROTOCOL.md, rule 8)."""
+    """The recorder at the other end of the bus (docs/bus.md, rule 8)."""
 
     def __init__(self, bus: Bus, job: str, shape: Shape) -> None:
         self._bus = bus

@@ -1,6 +1,6 @@
 """The roster: which workers there are, what they hold, and how long they are waited for.
 
-Rules 1, 3 and 4 of PROTOCOL.md: credit, join numbers, lost tokens and leases that pass. Time is passed in,
+Rules 1, 3 and 4 of docs/bus.md: credit, join numbers, lost tokens and leases that pass. Time is passed in,
 in seconds of any steady clock.
 """
 

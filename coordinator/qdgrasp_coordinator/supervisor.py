@@ -9,8 +9,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
-
 from qdgrasp_coordinator.crew import Crew, Death
 from qdgrasp_coordinator.figures import Figures, from_json
 from qdgrasp_coordinator.folder import RunFolder
@@ -19,6 +17,7 @@ from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
 PORT_TRIES = 3

@@ -19,7 +19,7 @@ log = structlog.get_logger()
 
 
 class Channel(Enum):
-    """How a message travels (PROTOCOL.md, keys)."""
+    """How a message travels (docs/bus.md, keys)."""
 
     DATA = "data"
     """Reliable, blocks when the link is full."""

@@ -1,4 +1,4 @@
-"""Scene bundles on the bus: content-addressed, one query per chunk (PROTOCOL.md, keys)."""
+"""Scene bundles on the bus: content-addressed, one query per chunk (docs/bus.md, keys)."""
 
 import hashlib
 

@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 
 ProtocolName = Literal["paper", "released"]
-"""The evaluation protocols (DESIGN.md section 5)."""
+"""The evaluation protocols (docs/protocols.md)."""
 Overlaps = Literal["count", "redraw"]
 """Whether a pose whose open hand overlaps the object counts as an evaluation."""
 

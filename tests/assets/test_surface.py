@@ -8,7 +8,7 @@ from qdgrasp_assets.objects.stand_ins import stand_in
 from qdgrasp_assets.surface import nearest_triangle, paper_surface, released_surface, sample
 from qdgrasp_assets.ycb import SCANS, read_scan
 
-# PAPER_EXPERIMENT, table 1.4: low and high corner of the finder's box as used, number of points.
+# Measured on the authors' code: low and high corner of the finder's box as used, number of points.
 RELEASED = {
     "rubiks_cube": ((-0.0583, -0.0429, -0.0046), (0.0259, 0.0418, 0.0616), 1071),
     "mug": ((-0.0716, -0.0335, -0.0048), (0.0539, 0.0683, 0.0851), 1452),
@@ -104,7 +104,7 @@ def test_released_reproduces_the_tabled_boxes_and_numbers_of_points(asset_path, 
 
 
 def test_released_normals_stray_as_far_as_the_table_says(asset_path):
-    """PAPER_EXPERIMENT, table 1.4: share of the mug's normals more than 45 and 90 deg off."""
+    """Measured on the authors' code: share of the mug's normals more than 45 and 90 deg off."""
     target = read_scan("ycb_mug", "released")
     mesh, parts = target.centred_mesh, target.centred_parts
     surface = released_surface(mesh, parts, target.com_in_mesh, seed=0)

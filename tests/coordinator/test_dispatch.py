@@ -172,6 +172,17 @@ def test_a_worker_opens_few_scenes_where_there_are_more_than_it_can_keep() -> No
     assert 10 < opened < 60
 
 
+def test_a_worker_that_rejoins_holds_its_scenes_still() -> None:
+    dispatch = Dispatch(EPOCH, 1)
+    for run in ("one", "two"):
+        submit(dispatch, 10, run, scene=run)
+    dispatch.join(ANN, 1, 1, [], 0.0)
+    (lease,) = dispatch.leases(0.0)
+    settle(dispatch, lease, 0.1)
+    dispatch.join(ANN, 2, 1, [], 0.2)
+    assert [again.batch.scene for again in dispatch.leases(0.3)] == [lease.batch.scene]
+
+
 def test_a_run_that_comes_late_is_not_given_what_it_missed() -> None:
     dispatch = Dispatch(EPOCH, 1)
     submit(dispatch, 1000, "one")

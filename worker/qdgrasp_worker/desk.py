@@ -8,7 +8,7 @@ from qdgrasp_protocol.messages import Control, Joined, Work
 class Desk:
     """One job at this worker.
 
-    Work counts only if it belongs to the epoch and to the join that are in force (PROTOCOL.md, rule 3):
+    Work counts only if it belongs to the epoch and to the join that are in force (docs/bus.md, rule 3):
     without this fence, batches that were re-queued while the link was down would be evaluated twice.
     """
 

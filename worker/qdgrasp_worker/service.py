@@ -91,7 +91,7 @@ class WorkerService:
     job
         The only job to serve; None: every job there is.
     platform
-        What decides the bits of this worker's results (DESIGN.md, 4.4).
+        What decides the bits of this worker's results (docs/reproducibility.md).
     library
         Where scenes come from.
     """
