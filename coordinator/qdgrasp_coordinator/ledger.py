@@ -33,6 +33,7 @@ class Ledger:
         self._folder: RunFolder | None = None
         self._journal: JournalWriter | None = None
         self._platform: dict[str, str] = {}
+        self._written: dict[str, str] = {}
         self.intake = Intake(0, 0)
         """The rows that wait."""
         self._find()
@@ -86,7 +87,7 @@ class Ledger:
         folder.set_epoch(epoch)
         journal.begin_turn(epoch, time.time())
         self.intake = Intake(epoch, journal.count)
-        self._platform = {}
+        self._platform, self._written = {}, {}
         return epoch
 
     def take(self, message: Recordable, now: float) -> Verdict:
@@ -102,8 +103,9 @@ class Ledger:
         return self.intake.offer(message.epoch, from_message(message, self.journal.shape), now)
 
     def set_platform(self, platform: dict[str, str]) -> None:
-        """Note the platform of the rows to come; written with the next commit."""
-        self._platform = platform
+        """Note the platform of the rows to come; written before the next of them, if it is new."""
+        if platform != self._written:
+            self._platform = platform
 
     def commit(self) -> None:
         """Make the waiting rows durable.
@@ -120,7 +122,7 @@ class Ledger:
             self._folder.set_epoch(self.intake.epoch)
         if self._platform:
             self._journal.set_platform(self._platform)
-            self._platform = {}
+            self._written, self._platform = self._platform, {}
         self._journal.append(group, self.intake.epoch, time.time())
         self.intake.committed()
 

@@ -74,6 +74,7 @@ class RecorderLink(Record):
         self._run = ""
         self._epoch = 0
         self._outbox = Outbox(0)
+        self._platform: dict[str, str] = {}
         self.trouble = ""
         """Why the recorder cannot write, in its own words; empty when it can."""
 
@@ -99,6 +100,7 @@ class RecorderLink(Record):
                 time.sleep(ASK_INTERVAL)  # until a recorder declares itself
         self._run, self._epoch = run.run, opened.epoch
         self._outbox = Outbox(opened.durable[0])
+        self._platform = opened.platform
         return opened
 
     def recorded(self, first: int) -> Stretch:
@@ -112,8 +114,8 @@ class RecorderLink(Record):
         self._outbox.push(stretch)
 
     def set_platform(self, platform: dict[str, str]) -> None:
-        """Tell the recorder the platform."""
-        self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=platform))
+        """Tell the recorder the platform, again before each burst of rows: one may have been lost."""
+        self._platform = platform
 
     def heard(self, message: Recorded, now: float) -> None:
         """Take note of what is durable."""
@@ -127,7 +129,10 @@ class RecorderLink(Record):
 
     def tick(self, now: float) -> None:
         """Send the rows that are due."""
-        for part in self._outbox.due(now):
+        parts = self._outbox.due(now)
+        if parts:
+            self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=self._platform))
+        for part in parts:
             message = to_message(part, self._run, self._epoch, self._shape)
             self._put(self._keys.outcome(self._epoch), message)
 

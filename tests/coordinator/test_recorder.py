@@ -20,6 +20,7 @@ from qdgrasp_coordinator.digest import digest
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.journal import Journal
 from qdgrasp_coordinator.journal_writer import JournalWriter
+from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_coordinator.recorder import RecorderService
 from qdgrasp_coordinator.stretch import Stretch, from_message, to_message
 from qdgrasp_protocol import chunks, codec
@@ -76,12 +77,16 @@ class Coordinator:
 
     def open(self, toml: str = to_toml(SPEC), job: str = JOB, **changes: object) -> Opened:
         """Open the run as soon as a recorder is there."""
-        values: dict[str, object] = {"run": "run", "spec": toml.encode(), "scene": BUNDLE.digest}
-        values |= {"genes": SHAPE.genes, "joints": SHAPE.joints, "descriptors": SHAPE.descriptors} | changes
-        question = codec.encode(Open(job=job, runs=[OpenRun(**values)]))  # type: ignore[arg-type]
+        question = codec.encode(Open(job=job, runs=[self.question(toml, **changes)]))
         opened = codec.decode(self.ask(self._keys.open, question), Opened)
         self.epoch = opened.epoch
         return opened
+
+    def question(self, toml: str = to_toml(SPEC), **changes: object) -> OpenRun:
+        """What is asked of the recorder when the run is opened."""
+        values: dict[str, object] = {"run": "run", "spec": toml.encode(), "scene": BUNDLE.digest}
+        values |= {"genes": SHAPE.genes, "joints": SHAPE.joints, "descriptors": SHAPE.descriptors}
+        return OpenRun(**(values | changes))  # type: ignore[arg-type]
 
     def meet(self) -> None:
         """Wait until a recorder is there."""
@@ -328,6 +333,24 @@ class TestRecording:
             coordinator.hears_durable(20)
         with folder.journal() as journal:
             assert journal.rows(0, 100).tobytes() == rows.tobytes()
+
+    def test_the_platform_reaches_a_recorder_that_was_away_when_it_became_known(
+        self, network: LocalNetwork, folder: RunFolder
+    ) -> None:
+        link, run = RecorderLink(network.session(), JOB, SHAPE), Coordinator(network.session())
+        with recording(network, folder.path):
+            run.meet()
+            link.open(run.question(), Stop())
+        link.set_platform({"pybullet": "3.2.7"})
+        link.push(Stretch(0, make_rows(10)))
+        link.tick(0.0)
+        with recording(network, folder.path):
+            run.meet()
+            link.recorder_up(0.1)
+            link.tick(0.2)
+            run.hears(lambda report: report.durable == 10)
+        with folder.journal() as journal:
+            assert journal.platform == {"pybullet": "3.2.7"}
 
     def test_a_restored_disk_is_reported_to_the_coordinator_that_is_ahead_of_it(
         self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
