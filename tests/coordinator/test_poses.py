@@ -49,7 +49,7 @@ def test_arrays_that_cannot_be_are_named(tmp_path, change, words):
 
 
 def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):
-    with pytest.raises(InputError, match="base_quaternion_xyzw.*base_position"):
+    with pytest.raises(InputError, match=r"base_quaternion_xyzw.*base_position"):
         read_poses(saved(tmp_path / "poses.npz", base_position=POSES["base_position"]))
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -43,7 +44,10 @@ class Commands:
         out, err = process.communicate(timeout=PATIENCE)
         return Done(process.returncode, out, err)
 
-    def start(self, *arguments: object, **environment: str) -> subprocess.Popen[str]:
+    def start(
+        self, *arguments: object, file_size: int | None = None, **environment: str
+    ) -> subprocess.Popen[str]:
+        """Start a command; no file that it or its processes write may be longer than `file_size`."""
         command = [sys.executable, "-m", "qdgrasp", *map(str, arguments)]
         process = subprocess.Popen(
             command,
@@ -53,6 +57,7 @@ class Commands:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            preexec_fn=None if file_size is None else lambda: _limit_files(file_size),
         )
         self._started.append(process)
         return process
@@ -73,6 +78,10 @@ class Commands:
             if process.poll() is None:
                 process.terminate()
                 process.communicate(timeout=PATIENCE)
+
+
+def _limit_files(size: int) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
 def wait_for(condition: Callable[[], bool], what: str) -> None:

@@ -1,6 +1,7 @@
 """Bad input: one clear sentence, exit code 2, nothing lost or half-written."""
 
 import socket
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,40 @@ def test_an_empty_or_unreadable_mesh_is_refused(qdgrasp, content):
     part = qdgrasp.home / "part.stl"
     part.write_bytes(content)
     assert "part.stl" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part, "--mass", "0.3"))
+
+
+HAND = """
+urdf = "hand.urdf"
+base_link = "palm"
+"""
+
+
+def test_a_gripper_file_that_is_not_complete_names_what_is_missing(qdgrasp):
+    hand = qdgrasp.home / "hand.toml"
+    hand.write_text(HAND)
+    said = sentence(qdgrasp("run", "--gripper", hand, "--object", "mug"))
+    assert "hand.toml" in said
+
+
+def own_hand(home: Path) -> Path:
+    """A copy of the built-in Panda hand, to be spoilt."""
+    built_in = Path(str(files("qdgrasp_assets") / "grippers"))
+    for name in ("panda.toml", "panda.urdf"):
+        (home / name).write_text((built_in / name).read_text())
+    return home / "panda.toml"
+
+
+def test_a_gripper_with_a_joint_that_is_not_there_is_refused(qdgrasp):
+    hand = own_hand(qdgrasp.home)
+    hand.write_text(hand.read_text().replace("panda_finger_joint2", "panda_finger_joint9"))
+    assert "panda_finger_joint9" in sentence(qdgrasp("run", "--gripper", hand, "--object", "mug"))
+
+
+def test_a_urdf_whose_mesh_is_missing_is_refused(qdgrasp):
+    hand = own_hand(qdgrasp.home)
+    urdf = qdgrasp.home / "panda.urdf"
+    urdf.write_text(urdf.read_text().replace("finger.obj", "thumb.obj"))
+    assert "thumb.obj" in sentence(qdgrasp("run", "--gripper", hand, "--object", "mug"))
 
 
 def test_a_folder_that_holds_other_files_is_left_alone(qdgrasp):

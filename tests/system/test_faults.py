@@ -81,6 +81,19 @@ def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, num
     assert qdgrasp.digest("run") == long_digest
 
 
+def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, long_digest):
+    command = ("run", *LONG, "--workers", 2, "--out", "run", "--disk-wait", 2)
+    process = qdgrasp.start(*command, file_size=130_000)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 2, err
+    assert "has had no room for 2 s" in err
+    assert "qdgrasp resume run" in err
+    assert 0 < rows_recorded(qdgrasp.home / "run") < 1000
+    done = qdgrasp("resume", "run", "--workers", 2)
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("run") == long_digest
+
+
 def test_a_run_in_use_is_not_resumed(qdgrasp):
     process, _ = start(qdgrasp, 1)
     done = qdgrasp("resume", "run")
