@@ -58,10 +58,12 @@ class PlainLines:
     def __init__(self, name: str) -> None:
         self._name = name
         self._next = 0.0
+        self._trouble = ""
 
     def show(self, figures: Figures) -> None:
-        """Print a line if the last one is long enough ago."""
-        if time.monotonic() >= self._next:
+        """Print a line if the last one is long enough ago, or if trouble came or went."""
+        if time.monotonic() >= self._next or figures.trouble != self._trouble:
+            self._trouble = figures.trouble
             self._next = time.monotonic() + QUIET_INTERVAL
             self.say(f"{self._name}: {figures.words}, {figures.left}")
 

@@ -25,7 +25,7 @@ from qdgrasp_protocol.rows import Rows, Shape
 
 PAGE = 2048
 """Rows in one page of a replay."""
-PATIENCE = 30.0  # seconds to wait for a recorder at the start
+PATIENCE = 120.0  # seconds to wait for a recorder at the start; it may be waiting for room on its disk
 ASK_INTERVAL = 0.1  # seconds between two questions while no recorder answers
 
 

@@ -86,6 +86,7 @@ def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, l
     process = qdgrasp.start(*command, file_size=130_000)
     _, err = process.communicate(timeout=120)
     assert process.returncode == 2, err
+    assert "paused: " in err
     assert "has had no room for 2 s" in err
     assert "qdgrasp resume run" in err
     assert 0 < rows_recorded(qdgrasp.home / "run") < 1000
