@@ -14,9 +14,15 @@ def test_cells_are_the_rounding_of_the_reference_set() -> None:
     assert np.array_equal(cells(positions) / 100, np.around(positions, 2))
 
 
+def test_halves_go_to_the_even_cell() -> None:
+    assert cells([[0.005, 0.015, 0.025], [-0.005, -0.015, -0.025]]).tolist() == [[0, 2, 2], [0, -2, -2]]
+
+
 def test_float32_positions_are_widened_before_they_are_rounded() -> None:
-    position = np.array([[0.145, 0.005, 0.015]], dtype=np.float32)
-    assert np.array_equal(cells(position), cells(position.astype(np.float64)))
+    position = np.float32(0.165)
+    assert float(position) > 0.165
+    assert position * np.float32(100) == 16.5
+    assert cells(np.array([[position] * 3])).tolist() == [[17, 17, 17]]
 
 
 def test_keys_are_equal_for_equal_cells_only() -> None:

@@ -177,8 +177,9 @@ def test_a_worker_that_rejoins_holds_its_scenes_still() -> None:
     for run in ("one", "two"):
         submit(dispatch, 10, run, scene=run)
     dispatch.join(ANN, 1, 1, [], 0.0)
-    (lease,) = dispatch.leases(0.0)
-    settle(dispatch, lease, 0.1)
+    for _ in range(2):
+        (lease,) = dispatch.leases(0.0)
+        settle(dispatch, lease, 0.1)
     dispatch.join(ANN, 2, 1, [], 0.2)
     assert [again.batch.scene for again in dispatch.leases(0.3)] == [lease.batch.scene]
 
@@ -282,6 +283,14 @@ def test_a_vanished_worker_is_given_up_after_a_second() -> None:
     assert (lost.wid, lost.batches, lost.reason) == (ANN, 1, "its token vanished")
     (again,) = dispatch.leases(4.0)
     assert (again.wid, again.attempt) == (BOB, 2)
+
+
+def test_news_of_the_same_loss_puts_nothing_off() -> None:
+    dispatch = with_work(n=4)
+    dispatch.leases(0.0)
+    dispatch.gone(ANN, 3.0)
+    dispatch.gone(ANN, 3.9)
+    assert len(dispatch.tick(3.0 + GRACE)) == 1
 
 
 def test_a_worker_that_comes_back_within_the_second_keeps_its_batches() -> None:

@@ -3,7 +3,10 @@ import pytest
 
 from qdgrasp_coordinator.archive import Elites
 from qdgrasp_coordinator.draws import draws
-from qdgrasp_coordinator.searches.map_elites import mutate, select_successes, select_uniform
+from qdgrasp_coordinator.searches.map_elites import MapElites, mutate, select_successes, select_uniform
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_protocol.spec import RunSpec
 
 
 def elites(n: int, successes: int) -> Elites:
@@ -84,6 +87,16 @@ def test_mutation_moves_the_stated_share_of_genes_by_the_stated_spread() -> None
 
 def test_mutation_with_probability_one_moves_every_gene() -> None:
     assert (mutate(np.zeros((500, 7), dtype=np.float32), 0.1, 1.0, generator()) != 0).all()
+
+
+def test_every_generation_mutates_in_its_own_way() -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=20)
+    search = MapElites(spec, 2, ([-0.1] * 3, [0.1] * 3), select_uniform)
+    rows = Shape(genes=2, joints=0).empty(1)
+    rows["outcome"] = Outcome.HELD
+    search.tell(0, rows)
+    one, other = search.ask(1), search.ask(2)
+    assert not np.array_equal(one, other)
 
 
 def test_mutation_is_clipped_to_the_cube() -> None:
