@@ -1,10 +1,15 @@
-"""Which grasps a picture shows: the best, far from one another, and not between the object and the eye."""
+"""What a picture shows: from which side, and which grasps.
+
+The object from its broad side, and its best grasps, far from one another and not between object and eye.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_coordinator.analysis.rays import Camera
+from qdgrasp_assets.mesh import Mesh
+from qdgrasp_coordinator.analysis.rays import Camera, camera
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
@@ -16,6 +21,40 @@ APART = 0.035
 """Hands are drawn at least this far apart on the image [m], so that each can be told from the others."""
 FACING = 0.3
 """A hand whose approach makes a smaller angle with the line of sight than arccos of this hides the object."""
+
+
+SIDES = np.radians(np.arange(-165, 180, 30))
+"""Azimuths that are tried."""
+BROAD = 0.97
+"""A side counts as broad when the object's outline fills this share of its largest one."""
+
+
+def best_side(thing: Mesh, rows: Rows, axis: NDArray[np.floating], elevation: float) -> float:
+    """The azimuth [rad] that shows most of the object, and of these the one that shows grasps farthest apart.
+
+    Parameters
+    ----------
+    thing
+        The object.
+    rows, axis
+        As in `well_spread`.
+    elevation
+        How high the camera stands [rad].
+    """
+    views = [camera(thing.vertices, azimuth, elevation, 100, 100) for azimuth in SIDES]
+    outlines = np.array([ConvexHull(view.seen(thing.vertices)[:, :2]).volume for view in views])
+    broad = np.flatnonzero(outlines > BROAD * outlines.max())
+    seen = [_spread(well_spread(rows, axis, views[side]), axis, views[side]) for side in broad]
+    return float(SIDES[broad[int(np.argmax(seen))]])
+
+
+def _spread(chosen: Rows, axis: NDArray[np.floating], view: Camera) -> float:
+    """How far each hand is from the next one on the image [m], in sum; hands seen from aside count most."""
+    if len(chosen) < 2:
+        return 0.0
+    positions, approaches = (view.seen(vectors) for vectors in _placed(chosen, axis))
+    gaps = np.linalg.norm(positions[:, None, :2] - positions[None, :, :2], axis=2)
+    return float(np.sort(gaps, axis=1)[:, 1] @ np.linalg.norm(approaches[:, :2], axis=1))
 
 
 def well_spread(rows: Rows, axis: NDArray[np.floating], camera: Camera) -> Rows:
@@ -33,13 +72,16 @@ def well_spread(rows: Rows, axis: NDArray[np.floating], camera: Camera) -> Rows:
     best = _best(rows)
     if not len(best):
         return best
-    pose = best["base_to_object"].astype(np.float64)
-    turned = Rotation.from_quat(pose[:, 3:])
-    approach = turned.apply(axis)
-    aside = np.flatnonzero(-(approach @ camera.axes[2]) < FACING)
+    positions, approaches = (camera.seen(vectors) for vectors in _placed(best, axis))
+    aside = np.flatnonzero(-approaches[:, 2] < FACING)
     aside = aside if len(aside) else np.arange(len(best))
-    chosen = _farthest(camera.seen(pose[aside, :3]), camera.seen(approach[aside]))
-    return best[aside[chosen]]
+    return best[aside[_farthest(positions[aside], approaches[aside])]]
+
+
+def _placed(rows: Rows, axis: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where hands stand (n, 3) [m] and where their approach axes point (n, 3), CoM frame."""
+    pose = rows["base_to_object"].astype(np.float64)
+    return pose[:, :3], Rotation.from_quat(pose[:, 3:]).apply(axis)
 
 
 def _best(rows: Rows) -> Rows:

@@ -10,7 +10,14 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.growth import Growth, growth
 from qdgrasp_coordinator.analysis.layers import FINE
-from qdgrasp_coordinator.analysis.views import FITNESS, View, best_in_cells, view_of_cells, view_of_hands
+from qdgrasp_coordinator.analysis.views import (
+    FITNESS,
+    View,
+    best_in_cells,
+    side_of,
+    view_of_cells,
+    view_of_hands,
+)
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -49,10 +56,11 @@ def draw_grasps(
     nominal = rows[rows["trial"] == 0]
     successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
     best, grown = best_in_cells(successes), growth(nominal, spec.overlaps if spec else "count")
+    side = side_of(scene, successes)
     figure = Figure(figsize=SIZE, dpi=pixels / (SIZE[1] * HANDS[3]), facecolor="white")
     _title(figure, scene, spec, _in_words(successes, grown))
-    _hands(figure.add_axes(HANDS), view_of_hands(scene, successes, pixels), successes)
-    _cells(figure.add_axes(CELLS), view_of_cells(scene, best, round(pixels * CELLS[3] / HANDS[3])))
+    _hands(figure.add_axes(HANDS), view_of_hands(scene, successes, side, pixels), successes)
+    _cells(figure.add_axes(CELLS), view_of_cells(scene, best, side, round(pixels * CELLS[3] / HANDS[3])))
     _growth(figure.add_axes(GROWTH), grown)
     figure.savefig(path, format="png")
 

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from qdgrasp_assets.mesh import Mesh, join
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.analysis.choice import well_spread
+from qdgrasp_coordinator.analysis.choice import best_side, well_spread
 from qdgrasp_coordinator.analysis.hand import hand
 from qdgrasp_coordinator.analysis.layers import FINE, Image
 from qdgrasp_coordinator.analysis.light import lit, soft_light
@@ -18,7 +18,7 @@ from qdgrasp_coordinator.analysis.rays import Camera, Floats, Solid, camera
 from qdgrasp_coordinator.cells import PER_METRE, cells, keys
 from qdgrasp_protocol.rows import Rows
 
-AZIMUTH, ELEVATION = np.radians(-52.0), np.radians(26.0)
+ELEVATION = np.radians(26.0)
 CLAY = "#f7e6ca"
 """The object."""
 HUES = (
@@ -59,12 +59,18 @@ class View:
     """Whether nothing was left out to let one see inside."""
 
 
-def view_of_hands(scene: Scene, successes: Rows, pixels: int) -> View:
+def side_of(scene: Scene, successes: Rows) -> float:
+    """The azimuth [rad] from which the object and grasps on it are seen best."""
+    return best_side(object_mesh(scene), successes, np.array(scene.gripper.approach_axis), ELEVATION)
+
+
+def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> View:
     """The object with a few well-spread grasps on it."""
     thing = object_mesh(scene)
-    chosen = well_spread(successes, np.array(scene.gripper.approach_axis), _camera([thing], pixels))
+    axis = np.array(scene.gripper.approach_axis)
+    chosen = well_spread(successes, axis, _camera([thing], azimuth, pixels))
     links = list(_links(scene, chosen))
-    image = Image(_camera([thing, *(link.mesh for link in links)], pixels))
+    image = Image(_camera([thing, *(link.mesh for link in links)], azimuth, pixels))
     _paint_solid(image, Solid(thing), _rgb(CLAY))
     distance = Distance(thing)
     for link in links:
@@ -72,11 +78,11 @@ def view_of_hands(scene: Scene, successes: Rows, pixels: int) -> View:
     return View(image.finished(), image.camera, chosen)
 
 
-def view_of_cells(scene: Scene, best: Rows, pixels: int) -> View:
+def view_of_cells(scene: Scene, best: Rows, azimuth: float, pixels: int) -> View:
     """The object, and a cube for the cell of each of the rows `best`, which are in distinct cells."""
     places, fitness = cells(best["descriptor"]), np.clip(best["fitness"], 0, 2).astype(int)
     thing = object_mesh(scene)
-    image = Image(_camera([thing, _cubes(places)], pixels))
+    image = Image(_camera([thing, _cubes(places)], azimuth, pixels))
     right, _, toward = image.camera.seen(places / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (len(places) <= CUT_OPEN)
     cubes = np.array([_rgb(colour) for colour in FITNESS])[np.repeat(fitness[kept], len(CUBE_FACES))]
@@ -143,9 +149,9 @@ def _links(scene: Scene, chosen: Rows) -> Iterator[Link]:
             yield Link(Mesh(vertices, shape.faces), hue, shape.finger)
 
 
-def _camera(meshes: list[Mesh], pixels: int) -> Camera:
+def _camera(meshes: list[Mesh], azimuth: float, pixels: int) -> Camera:
     points = np.concatenate([mesh.vertices for mesh in meshes])
-    return camera(points, AZIMUTH, ELEVATION, FINE * pixels, FINE * pixels)
+    return camera(points, azimuth, ELEVATION, FINE * pixels, FINE * pixels)
 
 
 def _paint_solid(image: Image, solid: Solid, colour: Floats) -> None:

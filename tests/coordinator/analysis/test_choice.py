@@ -1,7 +1,9 @@
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_coordinator.analysis.choice import APART, FACING, MOST, well_spread
+from qdgrasp_assets.mesh import Mesh
+from qdgrasp_coordinator.analysis.choice import APART, FACING, MOST, SIDES, best_side, well_spread
 from qdgrasp_coordinator.analysis.rays import camera
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
@@ -55,3 +57,18 @@ def test_a_hand_before_the_object_is_chosen_when_there_is_no_other() -> None:
 
 def test_of_no_successes_none_is_chosen() -> None:
     assert len(well_spread(around(0, Outcome.HELD), Z, VIEW)) == 0
+
+
+def test_a_plate_is_seen_from_its_broad_side() -> None:
+    plate = trimesh.creation.box((0.02, 0.2, 0.1))
+    side = best_side(Mesh(np.array(plate.vertices), np.array(plate.faces)), around(0, Outcome.HELD), Z, 0.3)
+    assert abs(np.cos(side)) > 0.9
+
+
+def test_grasps_on_one_side_are_not_seen_from_straight_ahead_or_behind() -> None:
+    ball = trimesh.creation.icosphere(radius=0.05)
+    rows = around(2000, Outcome.HELD)
+    for azimuth in SIDES[::3]:
+        toward = rows["base_to_object"][:, :2] @ [np.cos(azimuth), np.sin(azimuth)]
+        side = best_side(Mesh(np.array(ball.vertices), np.array(ball.faces)), rows[toward > 0.11], Z, 0.3)
+        assert abs(np.cos(side - azimuth)) < 0.9

@@ -48,8 +48,8 @@ def test_the_same_rows_give_the_same_picture(make_scene, tmp_path: Path) -> None
 
 
 def test_hands_are_drawn_over_the_object(make_scene) -> None:
-    alone = view_of_hands(make_scene(), rows_of([]), SMALL)
-    held = view_of_hands(make_scene(), rows_of([Outcome.HELD] * 20), SMALL)
+    alone = view_of_hands(make_scene(), rows_of([]), 0.0, SMALL)
+    held = view_of_hands(make_scene(), rows_of([Outcome.HELD] * 20), 0.0, SMALL)
     assert len(alone.shown) == 0
     assert 2 < len(held.shown) <= 20
     assert share_drawn(held.image) > 2 * share_drawn(alone.image)
@@ -64,8 +64,8 @@ def test_many_cells_are_cut_open_toward_the_viewer(make_scene) -> None:
 
     scene: Scene = make_scene()
     assert len(shell(3)) < CUT_OPEN < len(shell(1))
-    assert view_of_cells(scene, shell(3), SMALL).whole
-    assert not view_of_cells(scene, shell(1), SMALL).whole
+    assert view_of_cells(scene, shell(3), 0.0, SMALL).whole
+    assert not view_of_cells(scene, shell(1), 0.0, SMALL).whole
 
 
 def test_a_cell_shows_its_fittest_success() -> None:
