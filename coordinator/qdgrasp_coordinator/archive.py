@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.cells import cells
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 FAILED = -1.0
 """The objective of a valid pose that is no success: below every success, whose objective is its fitness."""
 
-Genomes: TypeAlias = NDArray[np.float32]
-"""(n, d), in [-1, 1]."""
 Box: TypeAlias = tuple[ArrayLike, ArrayLike]
 """Low and high corner (3,) [m], CoM frame: `Scene.archive_box`."""
 

@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.archive import Genomes
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Work
 from qdgrasp_protocol.rows import Rows
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.archive import Genomes
 from qdgrasp_coordinator.backlog import Backlog
 from qdgrasp_coordinator.batch import Batch, Lease, Settled, Settlement, complete
 from qdgrasp_coordinator.roster import Member, Roster
 from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Result
 from qdgrasp_protocol.rows import Rows
 

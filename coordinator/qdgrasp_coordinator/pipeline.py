@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.archive import Genomes
 from qdgrasp_coordinator.search import Search
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_coordinator.tally import Tally, counted
 from qdgrasp_protocol.errors import ReplayError
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape

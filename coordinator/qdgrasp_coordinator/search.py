@@ -9,10 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from qdgrasp_coordinator.archive import Box, Genomes
+from qdgrasp_coordinator.archive import Box
 from qdgrasp_coordinator.searches.map_elites import MapElites, select_successes, select_uniform
 from qdgrasp_coordinator.searches.random import RandomSearch
 from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 

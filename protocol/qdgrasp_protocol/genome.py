@@ -5,9 +5,13 @@ the intervals (Huber et al. 2024, section III-B, "each component is projected in
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+Genomes: TypeAlias = NDArray[np.float32]
+"""(n, d): n genomes of d genes each, in [-1, 1]."""
 
 GIVEN = "given"
 """The prior of poses that are scored as they are: its genes are the pose itself, not numbers in [-1, 1]."""
@@ -39,7 +43,7 @@ class Layout:
         """The genes' names, in order."""
         return tuple(gene.name for gene in self.genes)
 
-    def values(self, genomes: NDArray[np.float32]) -> NDArray[np.float64]:
+    def values(self, genomes: Genomes) -> NDArray[np.float64]:
         """Map genomes (n, d) in [-1, 1] to their intervals; (n, d) in m and rad, float64."""
         low = np.array([gene.low for gene in self.genes])
         high = np.array([gene.high for gene in self.genes])

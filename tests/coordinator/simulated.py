@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from qdgrasp_coordinator.archive import Genomes
 from qdgrasp_coordinator.batch import Settlement
 from qdgrasp_coordinator.dispatch import Dispatch
 from qdgrasp_coordinator.outbox import Outbox
@@ -23,6 +22,7 @@ from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import Search
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_protocol.errors import RecorderFellBack
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Result, Work
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import RESULT, Rows, Shape, pack, unpack

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from tests.coordinator.simulated import SHAPE, Chain, Plan, evaluate, reference, rows_of
 
-from qdgrasp_coordinator.archive import Genomes
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.tally import BARREN
 from qdgrasp_protocol.errors import ReplayError
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows

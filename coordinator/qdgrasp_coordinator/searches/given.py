@@ -1,6 +1,6 @@
 """Given poses: one pass over poses that are scored as they are (prior "given")."""
 
-from qdgrasp_coordinator.archive import Genomes
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 
 

@@ -6,8 +6,8 @@ overlaps, and evaluates that generation twice in any case; here every genome is 
 
 import numpy as np
 
-from qdgrasp_coordinator.archive import Genomes
 from qdgrasp_coordinator.draws import draws
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 
 
