@@ -61,14 +61,13 @@ class View:
 
 def side_of(scene: Scene, successes: Rows) -> float:
     """The azimuth [rad] from which the object and grasps on it are seen best."""
-    return best_side(object_mesh(scene), successes, np.array(scene.gripper.approach_axis), ELEVATION)
+    return best_side(object_mesh(scene), successes, scene.gripper, ELEVATION)
 
 
 def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> View:
     """The object with a few well-spread grasps on it."""
     thing = object_mesh(scene)
-    axis = np.array(scene.gripper.approach_axis)
-    chosen = well_spread(successes, axis, _camera([thing], azimuth, pixels))
+    chosen = well_spread(successes, scene.gripper, _camera([thing], azimuth, pixels))
     links = list(_links(scene, chosen))
     image = Image(_camera([thing, *(link.mesh for link in links)], azimuth, pixels))
     _paint_solid(image, Solid(thing), _rgb(CLAY))

@@ -1,9 +1,14 @@
+from collections.abc import Callable
+
+import msgspec
 import numpy as np
+import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.mesh import Mesh
-from qdgrasp_coordinator.analysis.choice import APART, FACING, MOST, SIDES, best_side, well_spread
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.analysis.choice import APART, FACING, LEAST, MOST, SIDES, best_side, well_spread
 from qdgrasp_coordinator.analysis.rays import camera
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
@@ -11,6 +16,12 @@ from qdgrasp_protocol.rows import Rows, Shape
 VIEW = camera(np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]]), 0.0, 0.0, 100, 100)
 """Seen from +x: y to the right, z up."""
 Z = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def jaw(make_scene: Callable[[], Scene]) -> SceneGripper:
+    """Two fingers, approach along z."""
+    return make_scene().gripper
 
 
 def around(n: int, outcome: Outcome, seed: int = 0) -> Rows:
@@ -24,51 +35,57 @@ def around(n: int, outcome: Outcome, seed: int = 0) -> Rows:
     return rows
 
 
-def test_robust_grasps_come_before_grasps_and_those_before_successes() -> None:
+def test_robust_grasps_come_before_grasps_and_those_before_successes(jaw: SceneGripper) -> None:
     dropped, shaken, held = (
         around(30, outcome, outcome) for outcome in (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
     )
-    assert set(well_spread(np.concatenate([dropped, shaken, held]), Z, VIEW)["outcome"]) == {Outcome.HELD}
-    assert set(well_spread(np.concatenate([dropped, shaken]), Z, VIEW)["outcome"]) == {Outcome.SHAKEN}
-    assert set(well_spread(dropped, Z, VIEW)["outcome"]) == {Outcome.DROPPED}
+    assert set(well_spread(np.concatenate([dropped, shaken, held]), jaw, VIEW)["outcome"]) == {Outcome.HELD}
+    assert set(well_spread(np.concatenate([dropped, shaken]), jaw, VIEW)["outcome"]) == {Outcome.SHAKEN}
+    assert set(well_spread(dropped, jaw, VIEW)["outcome"]) == {Outcome.DROPPED}
 
 
-def test_no_hand_stands_between_the_object_and_the_eye() -> None:
-    chosen = well_spread(around(500, Outcome.HELD), Z, VIEW)
+def test_no_hand_stands_between_the_object_and_the_eye(jaw: SceneGripper) -> None:
+    chosen = well_spread(around(500, Outcome.HELD), jaw, VIEW)
     assert len(chosen) == MOST
     toward_eye = chosen["base_to_object"][:, 0] / 0.12
     assert toward_eye.max() < FACING + 1e-6
 
 
-def test_chosen_hands_are_apart_and_the_like_of_one_another_are_not_chosen_twice() -> None:
-    chosen = well_spread(around(500, Outcome.HELD), Z, VIEW)["base_to_object"][:, :3]
+def test_of_a_hand_with_many_fingers_fewer_are_chosen(jaw: SceneGripper) -> None:
+    fingers = tuple(f"link_{number}" for number in range(20))
+    hand = msgspec.structs.replace(jaw, finger_links=fingers)
+    assert len(well_spread(around(500, Outcome.HELD), hand, VIEW)) == LEAST
+
+
+def test_chosen_hands_are_apart_and_the_like_of_one_another_are_not_chosen_twice(jaw: SceneGripper) -> None:
+    chosen = well_spread(around(500, Outcome.HELD), jaw, VIEW)["base_to_object"][:, :3]
     gaps = np.linalg.norm(chosen[:, None] - chosen[None], axis=2)[~np.eye(len(chosen), dtype=bool)]
     assert gaps.min() > APART
     alike = np.repeat(around(1, Outcome.HELD, 7), 50)
-    assert len(well_spread(alike, Z, VIEW)) == 1
+    assert len(well_spread(alike, jaw, VIEW)) == 1
 
 
-def test_a_hand_before_the_object_is_chosen_when_there_is_no_other() -> None:
+def test_a_hand_before_the_object_is_chosen_when_there_is_no_other(jaw: SceneGripper) -> None:
     rows = around(500, Outcome.HELD)
     facing = rows[rows["base_to_object"][:, 0] > 0.1]
     assert len(facing) > 5
-    assert len(well_spread(facing, Z, VIEW)) > 0
+    assert len(well_spread(facing, jaw, VIEW)) > 0
 
 
-def test_of_no_successes_none_is_chosen() -> None:
-    assert len(well_spread(around(0, Outcome.HELD), Z, VIEW)) == 0
+def test_of_no_successes_none_is_chosen(jaw: SceneGripper) -> None:
+    assert len(well_spread(around(0, Outcome.HELD), jaw, VIEW)) == 0
 
 
-def test_a_plate_is_seen_from_its_broad_side() -> None:
+def test_a_plate_is_seen_from_its_broad_side(jaw: SceneGripper) -> None:
     plate = trimesh.creation.box((0.02, 0.2, 0.1))
-    side = best_side(Mesh(np.array(plate.vertices), np.array(plate.faces)), around(0, Outcome.HELD), Z, 0.3)
+    side = best_side(Mesh(np.array(plate.vertices), np.array(plate.faces)), around(0, Outcome.HELD), jaw, 0.3)
     assert abs(np.cos(side)) > 0.9
 
 
-def test_grasps_on_one_side_are_not_seen_from_straight_ahead_or_behind() -> None:
+def test_grasps_on_one_side_are_not_seen_from_straight_ahead_or_behind(jaw: SceneGripper) -> None:
     ball = trimesh.creation.icosphere(radius=0.05)
     rows = around(2000, Outcome.HELD)
     for azimuth in SIDES[::3]:
         toward = rows["base_to_object"][:, :2] @ [np.cos(azimuth), np.sin(azimuth)]
-        side = best_side(Mesh(np.array(ball.vertices), np.array(ball.faces)), rows[toward > 0.11], Z, 0.3)
+        side = best_side(Mesh(np.array(ball.vertices), np.array(ball.faces)), rows[toward > 0.11], jaw, 0.3)
         assert abs(np.cos(side - azimuth)) < 0.9
