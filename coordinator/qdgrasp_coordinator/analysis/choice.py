@@ -24,8 +24,6 @@ APART = 0.035
 """Hands are drawn at least this far apart on the image [m], so that each can be told from the others."""
 FACING = 0.3
 """A hand whose approach makes a smaller angle with the line of sight than arccos of this hides the object."""
-
-
 SIDES = np.radians(np.arange(-165, 180, 30))
 """Azimuths that are tried."""
 BROAD = 0.97

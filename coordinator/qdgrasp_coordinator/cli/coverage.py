@@ -33,8 +33,8 @@ def coverage(
     if reference is None or object_ is None:
         raise InputError(f"{'--reference' if reference is None else '--object'} is missing; see --help.")
     folder = RunFolder.open(directory)
-    stand_in = is_stand_in(folder.spec.object, object_)
     entries = read_reference(reference, object_)
+    stand_in = is_stand_in(folder.spec.object, object_)
     with folder.journal() as journal:
         positions, fitness = _successes(journal)
     found = coverage_of(positions, fitness, entries, released_archive(folder.scene()))
