@@ -5,9 +5,8 @@ again, and the first result of a batch is as good as any other. Time is passed i
 clock.
 """
 
-from collections import OrderedDict
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +14,13 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.backlog import Backlog
 from qdgrasp_coordinator.batch import Batch, Lease, Settled, Settlement, complete
 from qdgrasp_coordinator.roster import Member, Roster
-from qdgrasp_protocol.errors import MessageError
+from qdgrasp_coordinator.tickets import Ticket, Tickets
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Result
 from qdgrasp_protocol.rows import Rows
 
 STRIKES = 3
 """A row that the simulator failed on so often is settled as an error."""
-REMEMBERED = 10_000
-"""Settled batches that are remembered, to tell duplicate and late results from unknown ones."""
 _COUNTED = ("leased", "requeued", "failures", "errors")
 
 
@@ -51,11 +48,9 @@ class Dispatch:
     def __init__(self, epoch: int, batch_size: int | None = None) -> None:
         self.counters = dict.fromkeys((*(kind.value for kind in Settlement), *_COUNTED), 0)
         """What was seen: each kind of result, batches leased and queued again, rows failed and given up."""
-        self._epoch = epoch
         self._backlog = Backlog(epoch, batch_size)
         self._roster = Roster()
-        self._open: dict[bytes, _Ticket] = {}
-        self._settled: OrderedDict[bytes, _Ticket] = OrderedDict()
+        self._tickets = Tickets(epoch)
 
     # Work comes in, and goes out.
 
@@ -76,11 +71,11 @@ class Dispatch:
         """Forget all rows of a run; gives the batches that workers may drop, by worker."""
         self._backlog.withdraw(run)
         drops: dict[str, list[bytes]] = {}
-        for ticket in [ticket for ticket in self._open.values() if ticket.batch.run == run]:
+        for ticket in self._tickets.of(run):
             if ticket.holder is not None:
                 drops.setdefault(ticket.holder, []).append(ticket.batch.id)
                 self._release(ticket.holder, ticket.batch.id)
-            self._close(ticket)
+            self._tickets.close(ticket)
         return drops
 
     def leases(self, now: float) -> list[Lease]:
@@ -104,12 +99,11 @@ class Dispatch:
         if old is not None and number <= old.number:
             return []
         listed = list(dict.fromkeys(held))
-        kept = [batch_id for batch_id in listed if self._may_keep(wid, batch_id)]
+        kept = {batch_id: ticket for batch_id in listed if (ticket := self._own(wid, batch_id))}
         if old is not None:
             self._requeue(batch_id for batch_id in old.batches if batch_id not in kept)
         worker = self._roster.admit(wid, number, credit, now)
-        for batch_id in kept:
-            ticket = self._open[batch_id]
+        for ticket in kept.values():
             self._backlog.remove(ticket.batch)
             self._hand_over(ticket, worker, now)
         return [batch_id for batch_id in listed if batch_id not in kept]
@@ -149,18 +143,17 @@ class Dispatch:
         MessageError
             It has another number of rows than its batch, or names a failed row that the batch has not.
         """
-        kind = self._judge(wid, result)
-        if kind is Settlement.FRESH:
-            _check(self._open[result.batch].batch, result)
+        kind = self._tickets.judge(wid, result)
         self.counters[kind.value] += 1
         if kind is not Settlement.FOREIGN:
             self._roster.seen(wid, now)
             self._release(wid, result.batch)
-        if kind is not Settlement.FRESH:
+        ticket = self._tickets.find(result.batch)
+        if kind is not Settlement.FRESH or ticket is None:
             return Settled(kind)
-        ticket = self._open[result.batch]
         self._learn(ticket, wid, result.cpu_seconds, now)
-        self._close(ticket, winner=wid)
+        self._backlog.remove(ticket.batch)
+        self._tickets.close(ticket, winner=wid)
         return self._split(ticket.batch, result, rows)
 
     # Time passes.
@@ -195,12 +188,12 @@ class Dispatch:
     @property
     def leased(self) -> int:
         """Batches that workers hold."""
-        return sum(ticket.holder is not None for ticket in self._open.values())
+        return self._tickets.held
 
     # From hand to hand.
 
     def _lease(self, batch: Batch, worker: Member, now: float) -> Lease:
-        ticket = self._open.setdefault(batch.id, _Ticket(batch))
+        ticket = self._tickets.open(batch)
         ticket.attempts += 1
         ticket.since = now
         ticket.leased.add(worker.wid)
@@ -208,14 +201,15 @@ class Dispatch:
         self.counters["leased"] += 1
         return Lease(worker.wid, worker.number, ticket.attempts, batch)
 
-    def _hand_over(self, ticket: "_Ticket", worker: Member, now: float) -> None:
+    def _hand_over(self, ticket: Ticket, worker: Member, now: float) -> None:
         ticket.holder = worker.wid
         worker.hold(ticket.batch.id, ticket.batch.scene, now)
 
-    def _may_keep(self, wid: str, batch_id: bytes) -> bool:
-        """Whether a worker that rejoins may go on with a batch, though it may wait to be leased again."""
-        ticket = self._open.get(batch_id)
-        return ticket is not None and wid in ticket.leased and ticket.holder in (None, wid)
+    def _own(self, wid: str, batch_id: bytes) -> Ticket | None:
+        """The ticket of a batch that a worker may go on with; it may wait to be leased again."""
+        ticket = self._tickets.find(batch_id)
+        is_own = ticket is not None and wid in ticket.leased and ticket.holder in (None, wid)
+        return ticket if is_own else None
 
     def _release(self, wid: str, batch_id: bytes) -> None:
         """Give a worker its credit back."""
@@ -225,7 +219,7 @@ class Dispatch:
 
     def _requeue(self, batch_ids: Iterable[bytes]) -> int:
         """Have those of the batches that are open leased again."""
-        tickets = [self._open[batch_id] for batch_id in batch_ids if batch_id in self._open]
+        tickets = [ticket for batch_id in batch_ids if (ticket := self._tickets.find(batch_id))]
         for ticket in tickets:
             ticket.holder = None
             self._backlog.put_back(ticket.batch)
@@ -234,29 +228,10 @@ class Dispatch:
 
     # Settling.
 
-    def _judge(self, wid: str, result: Result) -> Settlement:
-        ticket = self._open.get(result.batch) or self._settled.get(result.batch)
-        if result.epoch != self._epoch or (ticket is not None and wid not in ticket.leased):
-            return Settlement.FOREIGN
-        if ticket is None:
-            return Settlement.UNKNOWN
-        if result.batch in self._open:
-            return Settlement.FRESH
-        return Settlement.DUPLICATE if ticket.winner == wid else Settlement.LATE
-
-    def _learn(self, ticket: "_Ticket", wid: str, cpu_seconds: float, now: float) -> None:
+    def _learn(self, ticket: Ticket, wid: str, cpu_seconds: float, now: float) -> None:
         self._backlog.measure(ticket.batch, cpu_seconds)
         if ticket.holder == wid:
             self._roster.patience.measure(now - ticket.since)
-
-    def _close(self, ticket: "_Ticket", winner: str | None = None) -> None:
-        """Move a batch from the open ones to the settled ones, where its rows are no longer needed."""
-        batch = ticket.batch
-        self._backlog.remove(batch)
-        del self._open[batch.id]
-        self._settled[batch.id] = _Ticket(batch.part(batch.id, slice(0)), leased=ticket.leased, winner=winner)
-        if len(self._settled) > REMEMBERED:
-            self._settled.popitem(last=False)
 
     def _split(self, batch: Batch, result: Result, rows: Rows) -> Settled:
         """Give what is settled; queue failed rows again, until they have failed too often."""
@@ -270,27 +245,3 @@ class Dispatch:
         self.counters["errors"] += len(failed)
         failures = tuple(Failure(row=place, reason=reason) for place, reason in failed.items())
         return Settled(Settlement.FRESH, done, result.cpu_seconds, failures)
-
-
-@dataclass(eq=False)
-class _Ticket:
-    """A batch and where it is."""
-
-    batch: Batch
-    attempts: int = 0
-    holder: str | None = None
-    """Who holds it; None: it waits to be leased, or is settled."""
-    since: float = 0.0
-    """When it was leased last."""
-    leased: set[str] = field(default_factory=set)
-    """All workers that were ever leased it."""
-    winner: str | None = None
-    """Who settled it."""
-
-
-def _check(batch: Batch, result: Result) -> None:
-    if result.n != len(batch):
-        raise MessageError(f"a result has {result.n} rows, its batch {len(batch)}")
-    for failure in result.failures:
-        if failure.row >= result.n:
-            raise MessageError(f"a result of {result.n} rows names row {failure.row} as failed")

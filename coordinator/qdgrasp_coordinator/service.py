@@ -17,8 +17,9 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.batch import Settlement
 from qdgrasp_coordinator.dispatch import Dispatch
 from qdgrasp_coordinator.figures import Figures, to_json
+from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.inbox import Event, Inbox, JoinRequest, LinkChange, TokenChange, Wake
-from qdgrasp_coordinator.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.platforms import admit
 from qdgrasp_coordinator.record import Record, RecorderLink
 from qdgrasp_protocol import chunks, codec

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from qdgrasp_coordinator.batch import Lease, Settled, Settlement
-from qdgrasp_coordinator.dispatch import REMEMBERED, STRIKES, Dispatch
+from qdgrasp_coordinator.dispatch import STRIKES, Dispatch
 from qdgrasp_coordinator.pace import LEASE_SECONDS
 from qdgrasp_coordinator.roster import GRACE, SCENES
+from qdgrasp_coordinator.tickets import REMEMBERED
 from qdgrasp_protocol.codec import decode, encode
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work
@@ -468,7 +469,7 @@ def test_settled_batches_are_forgotten_in_the_end() -> None:
     settle(dispatch, first, 0.0)
     for _ in range(REMEMBERED):
         settle(dispatch, dispatch.leases(0.0)[0], 0.0)
-    assert len(dispatch._settled) == REMEMBERED
+    assert len(dispatch._tickets._settled) == REMEMBERED
     assert settle(dispatch, first, 1.0).kind is Settlement.UNKNOWN
 
 

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.generation import Generation
+from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import METHODS, Method, Search, method
 from qdgrasp_coordinator.searches.given import Given
 from qdgrasp_protocol.errors import UnknownName
