@@ -1,5 +1,6 @@
 """Coverage: how much of a reference set a run has found (cvg in Huber et al. 2024, section IV)."""
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ class Coverage(Struct, frozen=True, kw_only=True):
     """Those in which a success of fitness 2 was found."""
     released_found: int | None
     """Elites of the released code's archive whose position is in the set; None for a foreign hand."""
-    sentence: str
+    sentence: str = ""
     """The result in words."""
 
 
@@ -60,7 +61,7 @@ def coverage(
     found = _shared(distinct, reference)
     robust_found = _shared(np.unique(reached[fitness == 2], axis=0), robust)
     elites, robust_elites = _released(reached, positions, fitness, reference, archive)
-    return Coverage(
+    result = Coverage(
         coverage=_ratio(found, len(reference)),
         robust=_ratio(robust_found, len(robust)),
         released=_ratio(elites, len(reference)),
@@ -71,8 +72,8 @@ def coverage(
         robust_size=len(robust),
         robust_found=robust_found,
         released_found=elites,
-        sentence=_sentence(found, len(distinct), reference),
     )
+    return msgspec.structs.replace(result, sentence=_sentence(result, reference.object))
 
 
 def _released(
@@ -99,11 +100,15 @@ def _ratio(found: int | None, size: int) -> float | None:
     return None if found is None or size == 0 else found / size
 
 
-def _sentence(found: int, distinct: int, reference: ReferenceSet) -> str:
-    if len(reference) == 0:
-        return f"The reference set of '{reference.object}' is empty, so that there is no coverage of it."
-    share = 100 * found / len(reference)
+def _sentence(result: Coverage, name: str) -> str:
+    if result.coverage is None:
+        return f"The reference set of '{name}' is empty, so that there is no coverage of it."
     return (
-        f"{found} of the {len(reference)} cells of '{reference.object}' were found ({share:.1f} %), "
-        f"and {distinct - found} cells that are not in the set."
+        f"{result.found} of the {result.size} cells of '{name}' were found ({result.coverage:.2%}), "
+        f"and {result.outside} cells that are not in the set"
+        f"{_besides('; robust', result.robust)}{_besides('; as the released code counts', result.released)}."
     )
+
+
+def _besides(words: str, ratio: float | None) -> str:
+    return "" if ratio is None else f"{words} {ratio:.2%}"
