@@ -109,6 +109,8 @@ class Settled:
     """What the batch cost its worker."""
     failures: tuple[Failure, ...] = ()
     """Why rows failed for the last time, by their place in `rows`; they hold `Outcome.ERROR` and zeros."""
+    superseded: str | None = None
+    """Another worker that holds the batch too, and is to drop it: its credit is free again already."""
 
 
 def complete(rows: Rows, batch: Batch, failed: Collection[int]) -> Rows:

@@ -6,7 +6,7 @@ clock.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +154,11 @@ class Dispatch:
         self._learn(ticket, wid, result.cpu_seconds, now)
         self._backlog.remove(ticket.batch)
         self._tickets.close(ticket, winner=wid)
-        return self._split(ticket.batch, result, rows)
+        settled = self._split(ticket.batch, result, rows)
+        if ticket.holder in (None, wid):
+            return settled
+        self._release(ticket.holder, result.batch)
+        return replace(settled, superseded=ticket.holder)
 
     # Time passes.
 

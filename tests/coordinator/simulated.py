@@ -317,6 +317,9 @@ class Coordinator:
     def hear_result(self, wid: str, result: Result) -> None:
         rows = unpack(SHAPE.empty(result.n), RESULT, result.columns, SHAPE)
         settled = self.dispatch.settle(wid, result, rows, self.world.now)
+        if settled.superseded is not None:
+            worker, batch = self.world.workers[settled.superseded], result.batch
+            self.world.send(worker, lambda: worker.work.pop(batch, None))
         if settled.kind is Settlement.FRESH:
             self.fresh[result.batch] += 1
             assert settled.rows is not None

@@ -391,7 +391,7 @@ def test_a_fresh_result_gives_complete_rows() -> None:
     assert settled.rows["index"].tolist() == settled.rows["nu"].tolist() == [5, 6, 7, 8, 9]
     assert settled.rows["genome"].tobytes() == genomes(10)[5:].tobytes()
     assert (settled.rows["outcome"] == Outcome.HELD).all()
-    assert (settled.cpu_seconds, settled.failures) == (0.5, ())
+    assert (settled.cpu_seconds, settled.failures, settled.superseded) == (0.5, (), None)
 
 
 def test_a_second_result_of_the_same_worker_is_a_duplicate() -> None:
@@ -409,12 +409,13 @@ def test_the_first_of_two_workers_wins_and_the_other_is_late() -> None:
     dispatch.tick(LEASE_SECONDS)
     (bobs,) = dispatch.leases(LEASE_SECONDS)
     assert (bobs.wid, bobs.batch) == (BOB, zombies.batch)
-    assert settle(dispatch, zombies, 11.0).kind is Settlement.FRESH
+    settled = settle(dispatch, zombies, 11.0)
+    assert (settled.kind, settled.superseded) == (Settlement.FRESH, BOB)
     assert settle(dispatch, bobs, 12.0).kind is Settlement.LATE
     assert (dispatch.leased, dispatch.queued) == (0, 0)
 
 
-def test_a_late_result_gives_the_credit_back() -> None:
+def test_a_worker_that_was_overtaken_has_its_credit_back_at_once() -> None:
     dispatch = with_work(n=2)
     (zombies,) = dispatch.leases(0.0)
     dispatch.join(BOB, 1, 1, [], 1.0)
@@ -423,9 +424,9 @@ def test_a_late_result_gives_the_credit_back() -> None:
     settle(dispatch, zombies, 11.0)
     dispatch.gone(ANN, 11.0)
     submit(dispatch, 2, generation=1)
-    assert dispatch.leases(11.0) == []
-    settle(dispatch, bobs, 12.0)
-    assert [lease.wid for lease in dispatch.leases(12.0)] == [BOB]
+    assert [lease.wid for lease in dispatch.leases(11.0)] == [BOB]
+    assert settle(dispatch, bobs, 12.0).kind is Settlement.LATE
+    assert dispatch.leases(12.0) == []
 
 
 def test_a_result_settles_a_batch_that_waits_to_be_leased_again() -> None:
