@@ -8,12 +8,10 @@ stand on. Lengths in metres; the cup's axis is z, its bottom z = 0, the handle l
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qdgrasp_assets.mesh import Floats, Mesh
+from qdgrasp_assets.objects.revolution import Faces, disc, fan, revolved, ring, strip
 from qdgrasp_assets.objects.solids import hull
-
-Faces = NDArray[np.int64]
 
 SIDES = 20  # facets around the cup
 RADIUS, HEIGHT = 0.040, 0.082  # published: 80 mm wide, 82 mm high
@@ -69,32 +67,12 @@ SECTION = np.array(
 
 def mug() -> tuple[Mesh, tuple[Mesh, ...]]:
     """Surface and convex parts of the mug: floor, wall, rim and handle."""
-    return _surface(), (_floor(), *_ring(WALL), *_ring(BRIM), *_handle())
+    return _surface(), (disc(PROFILE[:2], SIDES), *ring(WALL, SIDES), *ring(BRIM, SIDES), *_handle())
 
 
 WALL = np.array([(INNER, FLOOR), (RADIUS, FLOOR), (RADIUS, RIM_LOW), (INNER, RIM_LOW)])
 BRIM = np.array([(INNER, RIM_LOW), (RADIUS, RIM_LOW), (RIM, RIM_EDGE), (RIM, HEIGHT), (INNER, HEIGHT)])
 """Convex halves of the cup's cross-section, (n, 2) radius and height."""
-
-
-def _revolved(profile: Floats) -> Floats:
-    """(p, SIDES, 3): the profile at the corners of the cup; facet k lies between corners k and k + 1."""
-    angles = (np.arange(SIDES) - 0.5) * 2 * np.pi / SIDES
-    radius, height = profile.T[:, :, None]
-    return np.stack(
-        [radius * np.cos(angles), radius * np.sin(angles), np.broadcast_to(height, (len(profile), SIDES))],
-        axis=-1,
-    )
-
-
-def _floor() -> Mesh:
-    return hull(_revolved(PROFILE[:2]).reshape(-1, 3))
-
-
-def _ring(cut: Floats) -> list[Mesh]:
-    """One part for each facet of the cup."""
-    corners = _revolved(cut)
-    return [hull(np.concatenate([corners[:, side - 1], corners[:, side]])) for side in range(SIDES)]
 
 
 def _handle() -> list[Mesh]:
@@ -116,38 +94,26 @@ def _sections() -> Floats:
 
 
 def _surface() -> Mesh:
-    rings, sections = _revolved(PROFILE), _sections()
+    rings, sections = revolved(PROFILE, SIDES), _sections()
     centres = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, FLOOR)])
     vertices = np.concatenate([rings.reshape(-1, 3), centres, sections.reshape(-1, 3)])
-    ring = np.arange(len(PROFILE) * SIDES).reshape(-1, SIDES)
-    below, above = ring.size, ring.size + 1
-    tube = ring.size + 2 + np.arange(len(PATH) * len(SECTION)).reshape(len(PATH), -1)
+    corners = np.arange(len(PROFILE) * SIDES).reshape(-1, SIDES)
+    below, above = corners.size, corners.size + 1
+    tube = corners.size + 2 + np.arange(len(PATH) * len(SECTION)).reshape(len(PATH), -1)
     faces = [
-        _fan(below, ring[0][::-1]),
-        _cup(ring),
-        _window(vertices, _quad(ring, LOWER_ROW), tube[-1]),
-        _window(vertices, _quad(ring, UPPER_ROW), tube[0]),
-        _fan(above, ring[-1]),
-        _strip(tube),
+        fan(below, corners[0][::-1]),
+        _cup(corners),
+        _window(vertices, _quad(corners, LOWER_ROW), tube[-1]),
+        _window(vertices, _quad(corners, UPPER_ROW), tube[0]),
+        fan(above, corners[-1]),
+        strip(tube),
     ]
     return Mesh(vertices, np.concatenate(faces))
 
 
-def _fan(centre: int, ring: Faces) -> Faces:
-    return np.stack([np.full(len(ring), centre), ring, np.roll(ring, -1)], axis=1)
-
-
-def _strip(rings: Faces) -> Faces:
-    """Two triangles for each quadrilateral between rings (r, s) of vertices."""
-    here, there = rings[:-1], rings[1:]
-    right, far = np.roll(here, -1, axis=1), np.roll(there, -1, axis=1)
-    quads = np.stack([here, right, far, here, far, there], axis=-1)
-    return quads.reshape(-1, 3)
-
-
 def _cup(ring: Faces) -> Faces:
     """The strip of the cup's rings without the two facets that are windows."""
-    quads = _strip(ring).reshape(len(ring) - 1, SIDES, 2, 3)
+    quads = strip(ring).reshape(len(ring) - 1, SIDES, 2, 3)
     kept = np.ones(quads.shape[:2], dtype=bool)
     kept[[LOWER_ROW, UPPER_ROW], 0] = False
     return quads[kept].reshape(-1, 3)

@@ -6,8 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from qdgrasp_assets.mesh import Mesh
+from qdgrasp_assets.objects.banana import banana
+from qdgrasp_assets.objects.bleach_cleanser import bleach_cleanser
+from qdgrasp_assets.objects.bowl import bowl
+from qdgrasp_assets.objects.chips_can import chips_can
 from qdgrasp_assets.objects.mug import mug
+from qdgrasp_assets.objects.power_drill import power_drill
 from qdgrasp_assets.objects.solids import box, geodesic, placed
+from qdgrasp_assets.objects.spatula import spatula
 from qdgrasp_assets.scene import Vector
 from qdgrasp_assets.target import Target
 
@@ -51,7 +57,33 @@ def _ball(radius: float) -> Callable[[], Solid]:
     return build
 
 
+ORIGIN = (0.0, 0.0, 0.0)
 STAND_INS = {
+    "banana": StandIn(
+        mass=0.066,
+        com=(0.008573, -0.002315, 0.017070),
+        build=banana,
+        place=(0.075, -0.085, 0.0),
+    ),
+    "bleach_cleanser": StandIn(
+        mass=1.131,
+        com=(-0.017801, 0.011582, 0.100397),
+        build=bleach_cleanser,
+        place=ORIGIN,
+    ),
+    "bowl": StandIn(
+        mass=0.147,
+        com=(-0.014691, -0.044719, 0.025943),
+        build=bowl,
+        place=(-0.0148, -0.0437, -0.0005),
+        turn=9.0,
+    ),
+    "chips_can": StandIn(
+        mass=0.205,
+        com=(-0.006005, 0.011113, 0.122552),
+        build=chips_can,
+        place=(-0.0060, 0.0111, -0.0019),
+    ),
     "cracker_box": StandIn(
         mass=0.411,
         com=(-0.014543, -0.013973, 0.102630),
@@ -65,12 +97,26 @@ STAND_INS = {
         place=(-0.0207, 0.0174, -0.0005),
         turn=-2.5,
     ),
+    "power_drill": StandIn(
+        mass=0.895,
+        com=(-0.000146, 0.014914, 0.044118),
+        build=power_drill,
+        place=ORIGIN,
+        turn=-57.0,
+    ),
     "rubiks_cube": StandIn(
         mass=0.094,
         com=(-0.016184, -0.000449, 0.028548),
         build=_box(0.057, 0.057, 0.057),
         place=(-0.016184, -0.000449, 0.028548),
         turn=27.0,
+    ),
+    "spatula": StandIn(
+        mass=0.0515,
+        com=(-0.034109, -0.081907, 0.013496),
+        build=spatula,
+        place=ORIGIN,
+        turn=-13.5,
     ),
     "tennis_ball": StandIn(
         mass=0.058,
