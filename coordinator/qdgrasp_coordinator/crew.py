@@ -19,6 +19,8 @@ from qdgrasp_protocol.lifetime import SUPERVISED
 
 GRACE = 2.0  # seconds that a process may take to stop before it is killed
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Each process works on one core."""
 STEADY = 30.0  # seconds of life after which the next death starts from the first back-off again
 
 
@@ -33,6 +35,8 @@ class Member:
     started: float
     restarts: int = 0
     restart_at: float | None = None
+    log_start: int = 0
+    """Where in the log this process began to write."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,9 @@ class Crew:
         self._logs.mkdir(parents=True, exist_ok=True)
         command = [sys.executable, "-m", module, *arguments]
         log = self._logs / f"{name}.log"
-        self._members[name] = Member(name, command, log, _start(command, log), time.monotonic())
+        began = log.stat().st_size if log.exists() else 0
+        started = time.monotonic()
+        self._members[name] = Member(name, command, log, _start(command, log), started, log_start=began)
 
     def deaths(self) -> list[Death]:
         """The members that ended since the last look, and are not to be started again yet."""
@@ -98,12 +104,15 @@ class Crew:
                 member.restart_at = None
 
     def last_words(self, name: str) -> str:
-        """The last line that a member wrote to its log."""
+        """The sentence with which a member ended; empty where it ended without one."""
+        member = self._members[name]
         try:
-            lines = self._members[name].log.read_text(errors="replace").splitlines()
+            said = member.log.read_bytes()[member.log_start :].decode(errors="replace")
         except OSError:
             return ""
-        return next((line for line in reversed(lines) if line.strip()), "")
+        mark = "qdgrasp-"
+        lines = [line for line in said.splitlines() if line.startswith(mark) and ": " in line]
+        return lines[-1].partition(": ")[2] if lines else ""
 
     def process(self, name: str) -> subprocess.Popen[bytes]:
         """The process of a member."""
@@ -146,7 +155,7 @@ def _start(command: list[str], log: Path) -> subprocess.Popen[bytes]:
             stdout=file,
             stderr=file,
             start_new_session=True,
-            env={**os.environ, SUPERVISED: "1"},
+            env={**os.environ, **ONE_THREAD, SUPERVISED: "1"},
         )
 
 

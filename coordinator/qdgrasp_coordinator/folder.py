@@ -6,6 +6,7 @@
 * `job.json`      the job's name, and the epoch of its last coordinator
 * `endpoint`      where the coordinator's router listens, while it does
 * `lock`          locked by the recorder; the kernel frees it when that process dies
+* `supervised`    locked by the command that started the run's processes
 * `logs/`         what the run's processes said
 """
 
@@ -27,6 +28,7 @@ from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, read_run_spec, run_spec, to_toml
 
 SPEC, SCENE, JOB, ENDPOINT, LOGS = "spec.toml", "scene.bundle", "job.json", "endpoint", "logs"
+SUPERVISED = "supervised"
 
 
 class Job(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -199,8 +201,12 @@ class RunFolder:
         return self.path / LOGS
 
     def lock(self) -> AbstractContextManager[None]:
-        """Be the only process that writes in this folder; see `lock.exclusive`."""
+        """Be the only process that writes the journal in this folder; see `lock.exclusive`."""
         return lock.exclusive(self.path)
+
+    def supervise(self) -> AbstractContextManager[None]:
+        """Be the only command that starts processes for this folder; see `lock.exclusive`."""
+        return lock.exclusive(self.path, SUPERVISED)
 
     def check_not_in_use(self) -> None:
         """Check that no process writes in this folder.
@@ -210,6 +216,7 @@ class RunFolder:
         FolderError
             One does.
         """
+        lock.check_free(self.path, SUPERVISED)
         lock.check_free(self.path)
 
     @property

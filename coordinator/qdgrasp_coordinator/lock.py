@@ -4,7 +4,7 @@ import fcntl
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -17,43 +17,44 @@ INTERVAL = 0.05  # seconds between two tries
 
 
 @contextmanager
-def exclusive(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock.
+def exclusive(folder: Path, name: str = FILE) -> Iterator[None]:
+    """Hold the lock `name` of the folder.
 
     Raises
     ------
     FolderError
         Another process holds it, or the folder cannot be written.
     """
-    with _opened(folder) as file:
+    with _opened(folder, name) as file:
         deadline = time.monotonic() + PATIENCE
         while not _taken(file):
             if time.monotonic() > deadline:
                 raise _in_use(folder, file)
             time.sleep(INTERVAL)
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
+        with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
+            file.truncate(0)
+            file.write(str(os.getpid()))
+            file.flush()
         yield
 
 
-def check_free(folder: Path) -> None:
-    """Check that nobody holds the folder's lock.
+def check_free(folder: Path, name: str = FILE) -> None:
+    """Check that nobody holds the lock `name` of the folder.
 
     Raises
     ------
     FolderError
         Somebody does.
     """
-    with _opened(folder) as file:
+    with _opened(folder, name) as file:
         if not _taken(file):
             raise _in_use(folder, file)
 
 
 @contextmanager
-def _opened(folder: Path) -> Iterator[IO[str]]:
+def _opened(folder: Path, name: str) -> Iterator[IO[str]]:
     with disk.writing(folder):
-        file = (folder / FILE).open("a+")
+        file = (folder / name).open("a+")
     with file:
         yield file
 

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.arrays import read_arrays
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
-
-NO_SYNERGY = -1
-"""The label of a pose without a synergy: all fingers close."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +63,7 @@ def read_poses(path: Path) -> Poses:
     InputError
         The file cannot be read, lacks an array, or holds one of the wrong shape or with impossible numbers.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except OSError as error:
-        raise InputError(f"No poses can be read at '{path}': {error.strerror or error}.") from None
-    except (ValueError, AttributeError, EOFError) as error:
-        raise InputError(f"{path} is not an npz file of plain arrays: {error}.") from None
+    arrays = read_arrays(path, "poses")
     positions = _array(arrays, "base_position", 3, path)
     quaternions = _array(arrays, "base_quaternion_xyzw", 4, path)
     n = len(positions)
@@ -81,11 +74,14 @@ def read_poses(path: Path) -> Poses:
     if (np.linalg.norm(quaternions, axis=1) < 1e-6).any():
         raise InputError(f"{path}: base_quaternion_xyzw holds a quaternion of length zero.")
     synergies = np.asarray(arrays.get("synergy", np.full(n, NO_SYNERGY)))
-    spreads = np.asarray(arrays.get("spread", np.full((n, 2), np.nan)), dtype=np.float64)
-    if synergies.shape != (n,) or spreads.ndim != 2 or len(spreads) != n:
-        raise InputError(f"{path}: synergy must be of shape ({n},) and spread of shape ({n}, 2).")
-    synergies = np.nan_to_num(synergies.astype(np.float64), nan=NO_SYNERGY).astype(np.int64)
-    return Poses(positions, quaternions, synergies, spreads)
+    spreads = np.asarray(arrays.get("spread", np.full((n, 2), np.nan)))
+    numeric = synergies.dtype.kind in "fiu" and spreads.dtype.kind in "fiu"
+    if not numeric or synergies.shape != (n,) or spreads.ndim != 2 or len(spreads) != n:
+        raise InputError(f"{path}: synergy must be numbers of shape ({n},) and spread of shape ({n}, 2).")
+    labels = np.where(np.isnan(synergies.astype(np.float64)), NO_SYNERGY, synergies)
+    if np.isinf(labels).any() or np.isinf(spreads.astype(np.float64)).any():
+        raise InputError(f"{path}: synergy or spread holds a number that is infinite.")
+    return Poses(positions, quaternions, labels.astype(np.int64), spreads.astype(np.float64))
 
 
 def write_scores(path: Path, rows: Rows) -> None:

@@ -1,7 +1,7 @@
 """Where a run's rows go: to the recorder over the bus, or, where only a result is wanted, to memory."""
 
-import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.stretch import Stretch, from_message, to_message
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import EndedEarly, NoReply
+from qdgrasp_protocol.errors import InputError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import (
     Log,
+    Message,
     Open,
     Opened,
     OpenRun,
@@ -25,19 +25,23 @@ from qdgrasp_protocol.rows import Rows, Shape
 
 PAGE = 2048
 """Rows in one page of a replay."""
-PATIENCE = 120.0  # seconds to wait for a recorder at the start; it may be waiting for room on its disk
-ASK_INTERVAL = 0.1  # seconds between two questions while no recorder answers
 
 
 class Record(ABC):
     """Takes the settled rows of a run, in journal order."""
 
-    @abstractmethod
-    def open(self, run: OpenRun, stop: Stop) -> Opened:
-        """Open the run: the epoch to use, and how many rows are recorded already."""
+    trouble: str = ""
+    """Why rows cannot be written now, in words; empty when they can."""
 
     @abstractmethod
-    def recorded(self, first: int) -> Stretch:
+    def open(self, run: OpenRun, wait: Callable[[], None]) -> Opened:
+        """Open the run: the epoch to use, and how many rows are recorded already.
+
+        `wait` is called between two tries, and may raise to end them.
+        """
+
+    @abstractmethod
+    def recorded(self, first: int, wait: Callable[[], None]) -> Stretch:
         """Recorded rows from number `first` on, some at least if there are any."""
 
     @abstractmethod
@@ -51,6 +55,19 @@ class Record(ABC):
     @abstractmethod
     def tick(self, now: float) -> None:
         """Send what is due."""
+
+    @abstractmethod
+    def heard(self, message: Recorded, now: float) -> None:
+        """Take note of what a recorder reports."""
+
+    @abstractmethod
+    def recorder_up(self, now: float) -> None:
+        """A recorder appeared."""
+
+    @property
+    @abstractmethod
+    def durable(self) -> int:
+        """How many rows of the run are safe."""
 
     @property
     @abstractmethod
@@ -75,39 +92,42 @@ class RecorderLink(Record):
         self._epoch = 0
         self._outbox = Outbox(0)
         self._platform: dict[str, str] = {}
-        self.trouble = ""
-        """Why the recorder cannot write, in its own words; empty when it can."""
 
-    def open(self, run: OpenRun, stop: Stop) -> Opened:
+    def open(self, run: OpenRun, wait: Callable[[], None]) -> Opened:
         """Ask the recorder to open the job, again and again until one answers.
 
         Raises
         ------
-        Refused
-            The recorder holds another run, or a newer coordinator.
-        EndedEarly
-            No recorder answered.
+        InputError
+            The recorder holds another run, and says so.
         """
-        request = codec.encode(Open(job=self._job, runs=[run]))
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            try:
-                opened = codec.decode(self._bus.ask(self._keys.open, request, timeout=10.0), Opened)
-                break
-            except NoReply:
-                if stop.is_set or time.monotonic() > deadline:
-                    raise EndedEarly(f"No recorder of job '{self._job}' answered.") from None
-                time.sleep(ASK_INTERVAL)  # until a recorder declares itself
+        try:
+            request = Open(job=self._job, runs=[run])
+            opened = codec.decode(self._ask(self._keys.open, request, wait), Opened)
+        except Refused as refusal:
+            raise InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
         self._run, self._epoch = run.run, opened.epoch
         self._outbox = Outbox(opened.durable[0])
         self._platform = opened.platform
         return opened
 
-    def recorded(self, first: int) -> Stretch:
+    def recorded(self, first: int, wait: Callable[[], None]) -> Stretch:
         """A page of rows from the recorder's journal."""
-        request = codec.encode(Log(run=self._run, first=first, limit=PAGE))
-        page = codec.decode(self._bus.ask(self._keys.log, request, timeout=10.0), Recordable)
+        request = Log(run=self._run, first=first, limit=PAGE)
+        page = codec.decode(self._ask(self._keys.log, request, wait), Recordable)
         return from_message(page, self._shape)
+
+    def _ask(self, key: str, request: Message, wait: Callable[[], None]) -> bytes:
+        """The recorder's answer, asked for until it comes: a dead recorder is started again."""
+        while True:
+            try:
+                answer = self._bus.ask(key, codec.encode(request), timeout=10.0)
+            except NoReply:
+                self.trouble = f"no recorder of job '{self._job}' answers, or its disk is full"
+                wait()
+            else:
+                self.trouble = ""
+                return answer
 
     def push(self, stretch: Stretch) -> None:
         """Keep rows until they are durable."""
@@ -168,11 +188,11 @@ class Memory(Record):
         """Everything taken, in journal order."""
         return np.concatenate([self._shape.empty(0), *self._parts])
 
-    def open(self, run: OpenRun, stop: Stop) -> Opened:
+    def open(self, run: OpenRun, wait: Callable[[], None]) -> Opened:
         """Begin: nothing is recorded."""
         return Opened(epoch=1, durable=[0], platform={})
 
-    def recorded(self, first: int) -> Stretch:
+    def recorded(self, first: int, wait: Callable[[], None]) -> Stretch:
         """Nothing is recorded."""
         return Stretch(first, self._shape.empty(0))
 
@@ -185,6 +205,17 @@ class Memory(Record):
 
     def tick(self, now: float) -> None:
         """Nothing is sent."""
+
+    def heard(self, message: Recorded, now: float) -> None:
+        """No recorder is listened to."""
+
+    def recorder_up(self, now: float) -> None:
+        """No recorder is needed."""
+
+    @property
+    def durable(self) -> int:
+        """Everything taken."""
+        return sum(map(len, self._parts))
 
     @property
     def is_full(self) -> bool:

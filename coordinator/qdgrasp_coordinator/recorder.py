@@ -166,6 +166,7 @@ class RecorderService:
         if asked.job != self._job or len(asked.runs) != 1:
             raise Refused(f"this recorder keeps one run of job '{self._job}'")
         epoch = self._ledger.open(asked.runs[0])
+        self._full_since, self._trouble, self._try_at = None, "", 0.0
         journal = self._ledger.journal
         log.info("opened", run=journal.run, epoch=epoch, rows=journal.count)
         return codec.encode(Opened(epoch=epoch, durable=[journal.count], platform=journal.platform))

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.crew import Crew
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.poses import Poses
-from qdgrasp_coordinator.preparation import RUN, make_bundle, scene_shape
+from qdgrasp_coordinator.preparation import RUN, scene_shape
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.searches.given import Given
@@ -19,17 +20,17 @@ from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 JOB = "evaluate"
 GENERATION = 4096
 """Poses that are handed out before the first result is waited for."""
 
 
-def score(spec: RunSpec, poses: Poses, team: Team, display: Display, stop: Stop) -> Rows:
+def score(
+    spec: RunSpec, scene: Scene, bundle: Bundle, poses: Poses, team: Team, display: Display, stop: Stop
+) -> Rows:
     """Evaluate poses with a scene's gripper and object; rows in the order of the poses."""
-    display.say(f"building the scene of {spec.gripper} and {spec.object}")
-    scene, bundle = make_bundle(spec)
     shape = scene_shape(scene, GIVEN)
     search = Given(poses.genomes(scene), GENERATION)
     pipeline = Pipeline(search, shape, evaluations=len(poses), overlaps="count", generations_in_flight=1)
@@ -37,8 +38,8 @@ def score(spec: RunSpec, poses: Poses, team: Team, display: Display, stop: Stop)
     memory = Memory(shape)
     with ExitStack() as stack:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
-        endpoint = free_endpoint()
-        bus = stack.enter_context(ZenohBus.router(endpoint))
+        bus, endpoint = ZenohBus.embedded(None)
+        stack.enter_context(bus)
         crew = stack.enter_context(Crew(logs))
         for number in range(max(1, team.workers)):
             crew.hire(f"worker-{number}", "qdgrasp_worker.cli", ["--connect", endpoint, "--job", JOB])

@@ -21,7 +21,7 @@ from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.inbox import Event, Inbox, JoinRequest, LinkChange, TokenChange, Wake
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.platforms import admit
-from qdgrasp_coordinator.record import Record, RecorderLink
+from qdgrasp_coordinator.record import Record
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.errors import EndedEarly, MessageError, NoReply, Refused
@@ -29,6 +29,7 @@ from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import (
     VERSION,
+    Control,
     Failure,
     Join,
     Joined,
@@ -43,6 +44,7 @@ from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
 log = structlog.get_logger()
 
 STAT_INTERVAL = 0.5  # seconds between two publications of the figures
+ASK_INTERVAL = 0.1  # seconds between two questions to a recorder that does not answer
 MAX_PATIENCE = 0.5  # seconds that the inbox is waited for, at most
 
 
@@ -98,6 +100,8 @@ class CoordinatorService:
         self._batch_size = batch_size
         self._inbox = Inbox()
         self._platform: dict[str, str] = {}
+        self._alive: set[str] = set()
+        self._dispatch = Dispatch(0, batch_size)
         self._began = time.monotonic()
         self._replayed = 0
         self._stat_at = 0.0
@@ -113,14 +117,16 @@ class CoordinatorService:
         Raises
         ------
         EndedEarly
-            No recorder answers, or another coordinator took over.
+            Another coordinator took over.
+        InputError
+            The recorder holds another run.
         ReplayError
             The journal is not what its spec replays to.
         """
         self._stop.tell(lambda: self._inbox.put(Wake()))
         with ExitStack() as stack:
             self._listen_to_recorder(stack)
-            opened = self._record.open(self._open_run(), self._stop)
+            opened = self._record.open(self._open_run(), self._wait)
             self._epoch = opened.epoch
             self._platform = opened.platform
             self._dispatch = Dispatch(opened.epoch, self._batch_size)
@@ -151,6 +157,7 @@ class CoordinatorService:
     def _serve(self, stack: ExitStack) -> None:
         """Open the doors: results, joins and scenes first, the token that invites workers last."""
         stack.enter_context(self._bus.subscribe(self._keys.result(), self._inbox.put))
+        stack.enter_context(self._bus.subscribe(self._keys.stat("worker/*"), self._inbox.put))
         stack.enter_context(self._bus.answer(self._keys.join, self._answer_join))
         stack.enter_context(self._bus.answer(self._keys.asset(), self._answer_asset))
         stack.enter_context(self._bus.watch(self._keys.worker_token(), self._token_changed))
@@ -162,13 +169,30 @@ class CoordinatorService:
         """Bring the search to where the journal ends: the same asks and tells, checked bit for bit."""
         position = 0
         while position < durable and not self._pipeline.finished:
-            stretch = self._record.recorded(position)
+            stretch = self._record.recorded(position, self._wait)
             if not len(stretch):
                 raise EndedEarly(f"The recorder has {durable} rows but shows none from {position} on.")
             self._pipeline.replay(stretch.rows)
             position = stretch.stop
             self._replayed = self._pipeline.tally.evaluations
-            self._publish_figures(time.monotonic())
+            self._pause()
+
+    def _wait(self) -> None:
+        """Between two questions to a recorder that does not answer."""
+        self._pause()
+        time.sleep(ASK_INTERVAL)
+
+    def _pause(self) -> None:
+        """Say how far the run is; end here if asked to.
+
+        Raises
+        ------
+        SystemExit
+            This process is asked to stop.
+        """
+        self._publish_figures(time.monotonic())
+        if self._stop.is_set:
+            raise SystemExit(self._stop.exit_code)
 
     def _step(self) -> None:
         """Hear what came, then do everything that is possible now."""
@@ -218,16 +242,20 @@ class CoordinatorService:
                 self._take_result(event, now)
             case Sample(encoding=kind) if kind == codec.encoding(Recorded):
                 self._take_recorded(event, now)
+            case Sample(key=key):
+                self._dispatch.seen(last_chunk(key), now)
 
     def _take_token(self, key: str, alive: bool, now: float) -> None:
         who = last_chunk(key)
         if key == self._keys.worker_token(who):
             if alive:
+                self._alive.add(who)
                 self._dispatch.back(who, now)
             else:
+                self._alive.discard(who)
                 self._dispatch.gone(who, now)
         elif key == self._keys.recorder_token(who):
-            if alive and isinstance(self._record, RecorderLink):
+            if alive:
                 self._record.recorder_up(now)
         elif alive and who.isdigit() and int(who) > self._epoch:
             raise EndedEarly(f"Another coordinator of job '{self._job}' took over (epoch {who}).")
@@ -247,6 +275,8 @@ class CoordinatorService:
         if not known:
             self._record.set_platform(self._platform)
         drop = self._dispatch.join(join.wid, join.number, join.credit, join.held, now)
+        if join.wid not in self._alive:  # its token is late, or vanished before its question came
+            self._dispatch.gone(join.wid, now)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
         joined = Joined(epoch=self._epoch, lease_seconds=self._dispatch.lease_seconds, drop=drop)
         answer.set_result(codec.encode(joined))
@@ -259,6 +289,9 @@ class CoordinatorService:
         except MessageError as error:
             log.warning("dropped a result", reason=str(error))
             return
+        if settled.superseded is not None:
+            control = Control(epoch=self._epoch, drop=[result.batch])
+            self._put(self._keys.ctl(settled.superseded), control, Channel.CONTROL)
         if settled.kind is Settlement.FRESH and settled.rows is not None:
             self._record.push(self._pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
 
@@ -267,6 +300,8 @@ class CoordinatorService:
         result = codec.decode(sample.payload, Result)
         shape = self._run.shape
         rows = shape.empty(result.n)
+        if len(result.failures) == result.n:
+            return result, rows
         try:
             return result, unpack(rows, RESULT, result.columns, shape)
         except MessageError as error:
@@ -274,8 +309,6 @@ class CoordinatorService:
             return msgspec.structs.replace(result, failures=failures), rows
 
     def _take_recorded(self, sample: Sample, now: float) -> None:
-        if not isinstance(self._record, RecorderLink):
-            return
         try:
             self._record.heard(codec.decode(sample.payload, Recorded), now)
         except MessageError as error:
@@ -300,8 +333,9 @@ class CoordinatorService:
     def _token_changed(self, key: str, alive: bool) -> None:
         self._inbox.put(TokenChange(key, alive))
 
-    def _put(self, key: str, message: Message) -> None:
-        self._bus.put(key, codec.encode(message), encoding=codec.encoding(type(message)))
+    def _put(self, key: str, message: Message, channel: Channel = Channel.DATA) -> None:
+        kind = codec.encoding(type(message))
+        self._bus.put(key, codec.encode(message), encoding=kind, channel=channel)
 
     def _publish_figures(self, now: float) -> None:
         if now < self._stat_at and not self._pipeline.finished:
@@ -315,7 +349,6 @@ class CoordinatorService:
         """How far the run is."""
         counts = self._pipeline.tally
         seconds = now - self._began
-        link = self._record if isinstance(self._record, RecorderLink) else None
         return Figures(
             run=self._run.run,
             evaluations=counts.evaluations,
@@ -329,8 +362,8 @@ class CoordinatorService:
             errors=counts.errors,
             cells=counts.cells,
             workers=self._dispatch.workers,
-            durable=link.durable if link else counts.rows,
+            durable=self._record.durable,
             seconds=seconds,
             rate=(counts.evaluations - self._replayed) / seconds if seconds > 0 else 0.0,
-            trouble=link.trouble if link else "",
+            trouble=self._record.trouble,
         )

@@ -5,7 +5,7 @@ The same processes, commands and messages as on many machines; there is no secon
 
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
@@ -13,15 +13,13 @@ from qdgrasp_coordinator.crew import Crew, Death
 from qdgrasp_coordinator.figures import Figures, from_json
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.progress import Display
-from qdgrasp_protocol.bus import Bus, Sample
+from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
-PORT_TRIES = 3
-"""How many free ports are tried when somebody else is quicker; one named by the user is tried once."""
 
 
 @dataclass(frozen=True)
@@ -58,34 +56,27 @@ class Supervisor:
             A process ended with a sentence that names bad input or environment.
         """
         self._stop.tell(lambda: self._news.put(None))
-        for attempt in range(PORT_TRIES):
-            endpoint = self._team.listen or free_endpoint()
-            try:
-                return self._run_on(endpoint)
-            except PortTaken:
-                if self._team.listen or attempt == PORT_TRIES - 1:
-                    raise
-        return None
-
-    def _run_on(self, endpoint: str) -> None:
         with ExitStack() as stack:
+            stack.enter_context(self._folder.supervise())
             crew = stack.enter_context(Crew(self._folder.logs))
             watch = Watch(crew, self._display)
-            self._hire_coordinator(crew, endpoint)
-            self._await(lambda: self._folder.endpoint == endpoint, watch)
-            if self._stop.is_set or watch.is_done:
+            self._hire_coordinator(crew)
+            self._await(lambda: self._folder.endpoint is not None, watch)
+            endpoint = self._folder.endpoint
+            if self._stop.is_set or watch.is_done or endpoint is None:
                 return
             self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
             self._hire_recorder(crew, endpoint)
             for number in range(self._team.workers):
                 self._hire_worker(crew, endpoint, number)
-            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop))
-            stack.enter_context(self._listen(bus))
+            stack.enter_context(self._listen(endpoint, stack, watch))
             self._await(lambda: watch.is_done, watch)
 
-    def _hire_coordinator(self, crew: Crew, endpoint: str) -> None:
+    def _hire_coordinator(self, crew: Crew) -> None:
         self._folder.forget_endpoint()
-        arguments = [str(self._folder.path), "--listen", endpoint]
+        arguments = [str(self._folder.path)]
+        if self._team.listen:
+            arguments += ["--listen", self._team.listen]
         if self._team.batch_size:
             arguments += ["--batch-size", str(self._team.batch_size)]
         crew.hire("coordinator", "qdgrasp_coordinator.cli.coordinator", arguments)
@@ -99,10 +90,14 @@ class Supervisor:
         arguments = ["--connect", endpoint, "--job", self._folder.job]
         crew.hire(f"worker-{number}", "qdgrasp_worker.cli", arguments)
 
-    def _listen(self, bus: Bus) -> ExitStack:
-        stack = ExitStack()
-        stack.enter_context(bus.subscribe(Keys(self._folder.job).stat("run/*"), self._news.put))
-        return stack
+    def _listen(self, endpoint: str, stack: ExitStack, watch: "Watch") -> AbstractContextManager[None]:
+        """Hear what the coordinator publishes."""
+        try:
+            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop))
+        except EndpointError:
+            watch.look(time.monotonic())  # the coordinator's death says more
+            raise
+        return bus.subscribe(Keys(self._folder.job).stat("run/*"), self._news.put)
 
     def _await(self, condition: Callable[[], bool], watch: "Watch") -> None:
         """Look after the processes and show what they report until the condition holds or a signal comes."""
@@ -121,10 +116,6 @@ class Supervisor:
         except MessageError:
             return
         self._display.show(figures)
-
-
-class PortTaken(EndpointError):
-    """Somebody else listens on the port."""
 
 
 class Watch:
@@ -151,18 +142,12 @@ class Watch:
             return
         words = self._crew.last_words("coordinator")
         if death.exit_code == InputError.exit_code:
-            raise (PortTaken if "listen" in words else InputError)(_sentence(words))
-        raise EndedEarly(f"The coordinator {death.words}: {_sentence(words)}")
+            raise InputError(words)
+        raise EndedEarly(f"The coordinator {death.words}. {words}".strip())
 
     def _member_died(self, death: Death, now: float) -> None:
         """A worker or the recorder died: bad input ends the run, anything else is started again."""
         if death.exit_code == InputError.exit_code:
-            raise InputError(_sentence(self._crew.last_words(death.name)))
+            raise InputError(self._crew.last_words(death.name))
         pause = self._crew.restart_later(death.name, now)
         self._display.say(f"{death.name} {death.words}; it is started again in {pause:.1f} s")
-
-
-def _sentence(words: str) -> str:
-    """A member's last words without the name of its command in front."""
-    head, _, tail = words.partition(": ")
-    return tail if head.startswith("qdgrasp-") else words

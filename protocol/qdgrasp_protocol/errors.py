@@ -8,12 +8,13 @@
         * AssetError             a file, mesh, URDF or gripper that cannot be used
         * FolderError            a run folder that cannot be used
             * DiskFull               there is no room to write in it
+        * ReplayError            a journal that its own spec does not replay to
+        * JawNeeded              a prior for two-finger hands, and a hand that is none
         * EndpointError          an endpoint that cannot be listened on or reached
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
         * NoReply                nobody answered
     * MessageError           a message that is not of the protocol; counted and dropped
-    * ReplayError            a journal that its own spec does not replay to
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
 """
@@ -87,6 +88,24 @@ class DiskFull(FolderError):
     """There is no room to write in a run folder; what was written before is whole."""
 
 
+class JawNeeded(InputError):
+    """A prior for two-finger hands, and a hand that is none.
+
+    Parameters
+    ----------
+    prior
+        The prior.
+    gripper
+        The hand.
+    """
+
+    def __init__(self, prior: str, gripper: str) -> None:
+        super().__init__(
+            f"The prior '{prior}' is for two-finger hands, and the gripper '{gripper}' has no [jaw]; "
+            "choose a method with another prior (`qdgrasp methods` lists them)."
+        )
+
+
 class EndpointError(InputError):
     """An endpoint that cannot be listened on or reached."""
 
@@ -107,7 +126,7 @@ class MessageError(QdgraspError):
     """A message that is not of the protocol; it is counted and dropped."""
 
 
-class ReplayError(QdgraspError):
+class ReplayError(InputError):
     """A journal that its own spec does not replay to."""
 
 

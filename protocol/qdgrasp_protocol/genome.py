@@ -17,6 +17,10 @@ GIVEN = "given"
 """The prior of poses that are scored as they are: its genes are the pose itself, not numbers in [-1, 1]."""
 
 
+NO_SYNERGY = -1
+"""The label of a pose without a synergy: all driven fingers close."""
+
+
 @dataclass(frozen=True)
 class Gene:
     """One component of a genome."""

@@ -108,10 +108,14 @@ def from_toml(text: str, where: str = "spec") -> RunSpec:
         raise InputError(f"{where} is not TOML: {error}.") from None
 
 
+def to_values(spec: RunSpec) -> dict[str, Any]:
+    """The full spec as plain values; fields that are None are left out."""
+    return {key: value for key, value in msgspec.structs.asdict(spec).items() if value is not None}
+
+
 def to_toml(spec: RunSpec) -> str:
     """The full spec as TOML; fields that are None are left out."""
-    values = {key: value for key, value in msgspec.structs.asdict(spec).items() if value is not None}
-    return tomli_w.dumps(values)
+    return tomli_w.dumps(to_values(spec))
 
 
 def _expected(kind: Any) -> str:

@@ -5,7 +5,7 @@ import re
 import socket
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from typing import Any, Literal, TypeVar
 
 import structlog
@@ -33,6 +33,8 @@ Mode = Literal["client", "router"]
 
 HOME, PORT = "127.0.0.1", 7447
 ENDPOINT = re.compile(r"(tcp|tls|quic|udp|ws)/\S+:[0-9]{1,5}(#\S+)?|unixsock-stream/\S+")
+PORT_TRIES = 3
+"""How many free ports are tried where somebody else is quicker."""
 SLICE = 2.0  # seconds of one try to connect; between two of them a signal is heard
 REFUSAL = "text/plain;qdgrasp.refusal"
 """The encoding of a refusal; an error reply without it is zenoh's own (a time-out)."""
@@ -149,6 +151,24 @@ class ZenohBus(Bus):
             raise EndpointError(
                 f"Cannot listen on {endpoint}: {why}; name another endpoint with --listen."
             ) from None
+
+    @classmethod
+    def embedded(cls, endpoint: str | None) -> tuple["ZenohBus", str]:
+        """Open a router on `endpoint`, or, where that is None, on a free port; and where that is.
+
+        Raises
+        ------
+        EndpointError
+            The endpoint that was named cannot be listened on, or no port is free.
+        """
+        if endpoint is not None:
+            return cls.router(endpoint), endpoint
+        for _ in range(PORT_TRIES - 1):
+            with suppress(EndpointError):  # somebody else was quicker
+                chosen = free_endpoint()
+                return cls.router(chosen), chosen
+        chosen = free_endpoint()
+        return cls.router(chosen), chosen
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
         """Publish one message; a Publisher per key would leak memory on every join."""

@@ -51,12 +51,18 @@ def test_leaving_ends_everybody_by_force_if_need_be(tmp_path):
     assert process.poll() is not None
 
 
-def test_the_last_words_of_a_member_are_the_last_line_of_its_log(crew):
+def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(crew):
     crew.hire(
-        "talker", "timeit", ["-n1", "-r1", "import os; os.write(1, b'first\\nlast\\n\\n'); os._exit(2)"]
+        "talker",
+        "timeit",
+        [
+            "-n1",
+            "-r1",
+            "import os; os.write(1, b'qdgrasp-worker: first\\nqdgrasp-worker: at: last\\n12:00 [info] x\\n'); os._exit(2)",
+        ],
     )
     crew.process("talker").wait(30)
-    assert crew.last_words("talker") == "last"
+    assert crew.last_words("talker") == "at: last"
 
 
 ORPHAN = """

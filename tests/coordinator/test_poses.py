@@ -39,6 +39,8 @@ def test_no_synergy_and_no_spread_are_accepted_for_every_hand(tmp_path):
         ({"base_position": np.full((2, 3), np.nan)}, "not finite"),
         ({"base_quaternion_xyzw": np.zeros((2, 4))}, "length zero"),
         ({"synergy": np.zeros(3, np.int8)}, "synergy"),
+        ({"synergy": np.array(["thumb", "index"])}, "synergy"),
+        ({"synergy": np.array([np.inf, 0.0])}, "infinite"),
         ({"base_position": np.zeros((0, 3)), "base_quaternion_xyzw": np.zeros((0, 4))}, "no poses"),
     ],
 )
@@ -53,11 +55,17 @@ def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):
         read_poses(saved(tmp_path / "poses.npz", base_position=POSES["base_position"]))
 
 
-@pytest.mark.parametrize("content", [b"", b"no zip at all"])
+@pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x03\x04 cut short"])
 def test_a_file_that_is_no_npz_is_refused_in_one_sentence(tmp_path, content):
     (tmp_path / "poses.npz").write_bytes(content)
     with pytest.raises(InputError, match=r"poses\.npz"):
         read_poses(tmp_path / "poses.npz")
+
+
+def test_a_lone_array_is_no_npz(tmp_path):
+    np.save(tmp_path / "poses.npy", POSES["base_position"])
+    with pytest.raises(InputError, match="not an npz file"):
+        read_poses(tmp_path / "poses.npy")
 
 
 def test_pickled_arrays_are_never_loaded(tmp_path):

@@ -39,6 +39,7 @@ def test_a_killed_recorder_is_started_again_and_nothing_is_lost(qdgrasp, long_di
     kill(pids(process, "recorder")[0])
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
+    assert "recorder was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
 
 

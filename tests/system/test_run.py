@@ -56,6 +56,14 @@ def test_resuming_a_finished_run_does_nothing_and_says_so(qdgrasp, reference):
     assert qdgrasp.digest(reference[0]) == reference[1]
 
 
+@pytest.mark.parametrize("evaluations", [0, 239, 2**64])
+def test_a_budget_that_cannot_be_leaves_the_run_as_it_is(qdgrasp, reference, evaluations):
+    done = qdgrasp("resume", reference[0], "--evaluations", evaluations)
+    assert done.code == 2
+    assert "Traceback" not in done.err
+    assert qdgrasp.info(reference[0])["complete"]
+
+
 def test_redrawn_overlaps_are_rows_but_no_evaluations(qdgrasp):
     done = qdgrasp(
         "run",

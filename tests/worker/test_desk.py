@@ -81,6 +81,16 @@ def test_an_older_coordinator_is_not_served_again(desk):
     assert desk.epoch == 5
 
 
+def test_a_job_that_begins_anew_after_its_coordinator_left_is_served(desk):
+    desk.joining()
+    desk.joined(answer(epoch=5))
+    desk.is_orphaned = True
+    assert desk.follows(1)
+    desk.joining()
+    assert desk.joined(answer(epoch=1))
+    assert desk.epoch == 1
+
+
 def test_a_batch_can_be_taken_back_at_any_time_but_only_by_its_own_epoch(desk):
     desk.accept(work(1))
     desk.control(Control(epoch=0, drop=[work(1).batch]))

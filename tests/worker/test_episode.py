@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_worker.bullet import Contact
 from qdgrasp_worker.episode import Episode, Verdict
-from qdgrasp_worker.grasp import NO_SYNERGY, Pose
+from qdgrasp_worker.grasp import Pose
 from qdgrasp_worker.protocols import CLOSING_STEPS, PAPER, PROTOCOLS, RELEASED, TARGET_STEPS
 
 PALM, FINGER, OTHER_FINGER = 5, 6, 7

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_worker.grasp import NO_SYNERGY, Pose
+from qdgrasp_protocol.genome import NO_SYNERGY
+from qdgrasp_worker.grasp import Pose
 from qdgrasp_worker.sweep import MARGIN, Sweep, axes
 
 RADIUS = 0.05

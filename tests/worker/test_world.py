@@ -9,7 +9,8 @@ import pytest
 from qdgrasp_assets.catalog import GRIPPERS
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.grasp import NO_SYNERGY, Pose
+from qdgrasp_protocol.genome import NO_SYNERGY
+from qdgrasp_worker.grasp import Pose
 from qdgrasp_worker.protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
 from qdgrasp_worker.world import World
 

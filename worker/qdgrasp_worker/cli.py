@@ -8,6 +8,7 @@ from typing import Annotated
 import structlog
 import typer
 
+from qdgrasp_assets.files import cache_folder
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.logs import speak
@@ -44,15 +45,10 @@ def worker(
         from qdgrasp_worker.service import WorkerService
 
         with ZenohBus.connect(connect, wait, stop) as bus:
-            library = Library(cache or _cache())
+            library = Library(cache or cache_folder() / "scenes")
             WorkerService(bus, stop, job=job, platform=platform(), library=library).run()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
-
-
-def _cache() -> Path:
-    root = os.environ.get("QDGRASP_CACHE") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(root).expanduser() / "qdgrasp" / "scenes"
 
 
 def main() -> None:

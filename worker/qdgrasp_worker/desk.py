@@ -16,7 +16,8 @@ class Desk:
         self.job = job
         self.epoch = -1
         self.number = 0
-        self.is_joined = False
+        self.is_orphaned = False
+        """Its coordinator is gone; whoever comes next may count epochs anew."""
         self.dropped = 0
         self._held: OrderedDict[bytes, Work] = OrderedDict()
 
@@ -28,19 +29,22 @@ class Desk:
     def joining(self) -> int:
         """Begin another join; returns its number."""
         self.number += 1
-        self.is_joined = False
         return self.number
 
     def joined(self, answer: Joined) -> bool:
         """Take the answer to a join; False when it comes from an older coordinator than the one known."""
-        if answer.epoch < self.epoch:
+        if answer.epoch < self.epoch and not self.is_orphaned:
             return False
-        if answer.epoch > self.epoch:
+        if answer.epoch != self.epoch:
             self._held.clear()
         self.epoch = answer.epoch
+        self.is_orphaned = False
         self._drop(answer.drop)
-        self.is_joined = True
         return True
+
+    def follows(self, epoch: int) -> bool:
+        """Whether a coordinator of this epoch may be joined."""
+        return epoch >= self.epoch or self.is_orphaned
 
     def accept(self, work: Work) -> bool:
         """Take a leased batch; False when it is of another epoch or of an older join."""

@@ -4,6 +4,7 @@ One thread does everything; callbacks of the bus only fill its inbox. A worker h
 whatever it loses is evaluated again elsewhere, with the same bytes.
 """
 
+import json
 import os
 import random
 import secrets
@@ -19,8 +20,8 @@ import structlog
 
 from qdgrasp_assets.scene import unpack_scene
 from qdgrasp_protocol import codec
-from qdgrasp_protocol.bus import Bus, Sample
-from qdgrasp_protocol.errors import MessageError, NoReply, Refused
+from qdgrasp_protocol.bus import Bus, Channel, Sample
+from qdgrasp_protocol.errors import BusError, InputError, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of, last_chunk
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import (
@@ -46,6 +47,7 @@ CREDIT = 2
 """Batches outstanding at a worker: one in work, one waiting."""
 SLICE = 16
 """Rows evaluated between two looks at the inbox; evaluation is pure, so slicing changes nothing."""
+STAT_INTERVAL = 1.0  # seconds between two signs of progress
 RETRY_FIRST, RETRY_LAST = 0.05, 2.0  # seconds between tries to join, jittered
 WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 
@@ -108,6 +110,7 @@ class WorkerService:
         self._worlds = Worlds()
         self._jobs: dict[str, Appointment] = {}
         self._tokens = ExitStack()
+        self._shown = 0.0
         self._inbox: SimpleQueue[Sample | Coordinator | Link | None] = SimpleQueue()
 
     def run(self) -> None:
@@ -149,23 +152,25 @@ class WorkerService:
     def _take(self, event: Sample | Coordinator | Link | None) -> None:
         match event:
             case Coordinator(key, alive):
-                self._meet(job_of(key), int(last_chunk(key)), alive)
+                self._meet(job_of(key), last_chunk(key), alive)
             case Link(up) if up:
                 for appointment in self._jobs.values():
                     self._join_soon(appointment)
             case Sample():
                 self._read(event)
 
-    def _meet(self, job: str | None, epoch: int, alive: bool) -> None:
+    def _meet(self, job: str | None, token: str, alive: bool) -> None:
         """Note that a job's coordinator is there, or is gone."""
-        if job is None:
+        if job is None or not (token.isascii() and token.isdigit()):
             return
+        epoch = int(token)
         appointment = self._jobs.get(job) or self._open(job)
-        if alive and epoch >= appointment.desk.epoch:
+        if alive and appointment.desk.follows(epoch):
             appointment.alive = True
             self._join_soon(appointment)
-        elif not alive and epoch >= appointment.desk.epoch:
+        elif not alive and epoch == appointment.desk.epoch:
             appointment.alive = False
+            appointment.desk.is_orphaned = True
 
     def _open(self, job: str) -> Appointment:
         appointment = self._jobs[job] = Appointment(Desk(job))
@@ -232,9 +237,8 @@ class WorkerService:
         if work is None:
             return
         try:
-            evaluator = self._evaluator(desk.job, work.scene)
-            result = self._evaluate(evaluator, work)
-        except (NoReply, Refused, MessageError) as error:
+            result = self._result(desk.job, work)
+        except BusError as error:
             log.warning("handed a batch back", job=desk.job, reason=str(error))
             desk.release(work.batch)
             self._join_soon(appointment)
@@ -243,6 +247,20 @@ class WorkerService:
             return
         self._put(Keys(desk.job).result(self.wid), result)
         desk.release(work.batch)
+
+    def _result(self, job: str, work: Work) -> Result | None:
+        """What a batch found; where this worker cannot evaluate it at all, every row failed for that reason.
+
+        Raises
+        ------
+        NoReply, Refused
+            The scene cannot be had now.
+        """
+        try:
+            return self._evaluate(self._evaluator(job, work.scene), work)
+        except (InputError, MessageError) as error:
+            log.warning("a batch cannot be evaluated here", job=job, reason=str(error))
+            return failed(work, self.wid, str(error))
 
     def _evaluator(self, job: str, digest: str) -> Evaluator:
         def load() -> Evaluator:
@@ -260,6 +278,7 @@ class WorkerService:
         began = time.process_time()
         for place in slices(work.n):
             self._hear(0.0)
+            self._show_progress(work)
             if self._stop.is_set:
                 return None
             part = evaluator.evaluate(work.prior, rows["genome"][place], rows["trial"][place])
@@ -282,8 +301,38 @@ class WorkerService:
             failures=failures,
         )
 
+    def _show_progress(self, work: Work) -> None:
+        """Show, about once a second, that a long batch goes on; so its lease does not pass."""
+        now = time.monotonic()
+        if now < self._shown + STAT_INTERVAL:
+            return
+        self._shown = now
+        figures = {"wid": self.wid, "host": socket.gethostname(), "run": work.run, "rows": work.n}
+        payload = json.dumps(figures).encode()
+        for job in self._jobs:
+            key = Keys(job).stat(f"worker/{self.wid}")
+            self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)
+
     def _put(self, key: str, message: Message) -> None:
         self._bus.put(key, codec.encode(message), encoding=codec.encoding(type(message)))
+
+
+def failed(work: Work, wid: str, reason: str) -> Result:
+    """The result of a batch of which no row can be evaluated."""
+    return Result(
+        epoch=work.epoch,
+        run=work.run,
+        generation=work.generation,
+        batch=work.batch,
+        attempt=work.attempt,
+        wid=wid,
+        n=work.n,
+        joints=0,
+        descriptors=0,
+        columns={},
+        cpu_seconds=0.0,
+        failures=[Failure(row=row, reason=short(reason)) for row in range(work.n)],
+    )
 
 
 def slices(n: int) -> Iterator[slice]:

@@ -4,9 +4,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
+from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_worker.bodies import Hand, Target
 from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Contact, Motor
-from qdgrasp_worker.grasp import NO_SYNERGY, Pose
+from qdgrasp_worker.grasp import Pose
 from qdgrasp_worker.protocols import CLOSING_STEPS, Shake
 from qdgrasp_worker.sweep import Sweep
 

@@ -4,7 +4,6 @@ A set is an `.npz` file with, for each object, `<object>.cm` (n, 3), hand positi
 the object's CoM frame, and `<object>.fitness` (n,), the best fitness known there: 0, 1 or 2.
 """
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_coordinator.arrays import read_arrays
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 
 EXPECTED = "expected an .npz file with '<object>.cm' and '<object>.fitness'"
@@ -47,7 +47,7 @@ def read_reference(path: Path, name: str) -> ReferenceSet:
     UnknownName
         The file has no set for this object; those it has are named.
     """
-    arrays = _arrays(path)
+    arrays = read_arrays(path, "reference set")
     objects = [key.removesuffix(".cm") for key in arrays if key.endswith(".cm")]
     if not objects:
         raise AssetError(
@@ -72,16 +72,6 @@ def is_stand_in(run_object: str, name: str) -> bool:
             f"but this run is on '{run_object}'; name the run's object with --object."
         )
     return run_object == name
-
-
-def _arrays(path: Path) -> Mapping[str, NDArray[np.generic]]:
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files}
-    except OSError as error:
-        raise AssetError(f"No reference set can be read at '{path}': {error.strerror or error}.") from None
-    except (ValueError, EOFError, zipfile.BadZipFile, TypeError, AttributeError):
-        raise AssetError(f"'{path}' is not a reference set: {EXPECTED}.") from None
 
 
 def _checked(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceSet:

@@ -1,6 +1,5 @@
 """`qdgrasp-coordinator`: the process that runs the search of a job."""
 
-import os
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -15,10 +14,10 @@ from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.lifetime import Stop, lifetime
 from qdgrasp_protocol.logs import speak
 from qdgrasp_protocol.spec import read_run_spec
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()
@@ -38,27 +37,29 @@ def coordinator(
 
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
     """
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    folder = RunFolder.open(what) if what.is_dir() else None
+    if folder is not None:
+        spec, bundle, scene = folder.spec, folder.bundle(), folder.scene()
+    else:
+        spec = preparation.full_spec(read_run_spec(what), str(what))
+        scene, bundle = preparation.make_bundle(spec)
+    run = preparation.assignment(spec, scene, bundle)
+    name = job or (folder.job if folder else job_name(what.stem))
     with lifetime("qdgrasp-coordinator") as stop, ExitStack() as stack:
         speak("coordinator")
-        folder = RunFolder.open(what) if what.is_dir() else None
-        if folder is not None:
-            spec, bundle = folder.spec, folder.bundle()
-            scene = folder.scene()
-        else:
-            spec = preparation.full_spec(read_run_spec(what), str(what))
-            scene, bundle = preparation.make_bundle(spec)
-        run = preparation.assignment(spec, scene, bundle)
-        name = job or (folder.job if folder else job_name(what.stem))
-        endpoint = connect or listen or free_endpoint()
-        session = ZenohBus.connect(endpoint, 30.0, stop) if connect else ZenohBus.router(endpoint)
-        bus = stack.enter_context(session)
+        bus, endpoint = _session(listen, connect, stop)
+        stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
         if folder is not None:
             folder.write_endpoint(endpoint)
         record = RecorderLink(bus, name, run.shape)
         CoordinatorService(bus, stop, job=name, assignment=run, record=record, batch_size=batch_size).run()
     raise typer.Exit(stop.exit_code)
+
+
+def _session(listen: str | None, connect: str | None, stop: Stop) -> tuple[ZenohBus, str]:
+    """A session at a router that runs already, or one that is the router itself."""
+    return (ZenohBus.connect(connect, 30.0, stop), connect) if connect else ZenohBus.embedded(listen)
 
 
 def main() -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
-import numpy as np
 import typer
 
 from qdgrasp_coordinator.analysis.coverage import coverage as coverage_of
@@ -13,9 +12,7 @@ from qdgrasp_coordinator.analysis.reference import is_stand_in, read_reference
 from qdgrasp_coordinator.analysis.released import released_archive
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.journal import Journal
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.outcome import Outcome
 
 
 def coverage(
@@ -36,17 +33,11 @@ def coverage(
     entries = read_reference(reference, object_)
     stand_in = is_stand_in(folder.spec.object, object_)
     with folder.journal() as journal:
-        positions, fitness = _successes(journal)
-    found = coverage_of(positions, fitness, entries, released_archive(folder.scene()))
+        successes = journal.successes()
+    positions = successes["base_to_object"][:, :3]
+    found = coverage_of(positions, successes["fitness"], entries, released_archive(folder.scene()))
     if as_json:
         values = {**msgspec.to_builtins(found), "object": object_, "stand_in": stand_in}
         typer.echo(json.dumps(values))
         return
     typer.echo(found.sentence + (" The run is on a stand-in for the scan." if stand_in else ""))
-
-
-def _successes(journal: Journal) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 3) [m] and fitness (n,) of all successes, in journal order."""
-    found = [rows[rows["outcome"] >= Outcome.DROPPED] for rows in journal.blocks()]
-    rows = np.concatenate([journal.shape.empty(0), *found])
-    return rows["base_to_object"][:, :3], rows["fitness"]

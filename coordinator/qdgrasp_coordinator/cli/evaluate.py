@@ -7,6 +7,7 @@ import typer
 
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.poses import read_poses, write_scores
+from qdgrasp_coordinator.preparation import make_bundle
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.scoring import score
 from qdgrasp_coordinator.supervisor import Team
@@ -46,8 +47,11 @@ def evaluate(
     spec = run_spec({name: value for name, value in values.items() if value is not None}, "evaluate")
     given = read_poses(poses)
     team = Team(options.cores() if workers is None else workers, batch_size)
-    with lifetime("qdgrasp evaluate") as stop, display("evaluate", len(given)) as shown:
-        rows = score(spec, given, team, shown, stop)
+    with display("evaluate", len(given)) as shown:
+        shown.say(f"building the scene of {spec.gripper} and {spec.object}")
+        scene, bundle = make_bundle(spec)
+        with lifetime("qdgrasp evaluate") as stop:
+            rows = score(spec, scene, bundle, given, team, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     write_scores(out, rows)

@@ -2,7 +2,6 @@
 
 from typing import Annotated
 
-import msgspec
 import typer
 
 from qdgrasp_coordinator.cli import options
@@ -11,8 +10,10 @@ from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.summary import summary
 from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.tally import counted, tally
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.spec import run_spec, to_values
 
 
 def resume(
@@ -31,13 +32,9 @@ def resume(
     """
     folder = RunFolder.open(directory)
     folder.check_not_in_use()
-    found = summary(folder)
     if evaluations is not None:
-        if evaluations < found.evaluations:
-            expected = f"at least the {found.evaluations} evaluations that are recorded"
-            raise ImpossibleValue("--evaluations", evaluations, expected)
-        folder.rewrite_spec(msgspec.structs.replace(folder.spec, evaluations=evaluations))
-        found = summary(folder)
+        extend(folder, evaluations)
+    found = summary(folder)
     if found.complete:
         typer.echo(f"{directory} is finished: {found.words}")
         return
@@ -46,3 +43,21 @@ def resume(
         shown.say(f"going on after {found.evaluations} evaluations")
         carry_out(folder, team, shown, stop)
     finish(folder, stop.exit_code)
+
+
+def extend(folder: RunFolder, evaluations: int) -> None:
+    """Give a run a new budget.
+
+    Raises
+    ------
+    ImpossibleValue
+        It is no budget, or the journal goes on behind it.
+    """
+    spec = run_spec(to_values(folder.spec) | {"evaluations": evaluations}, "--evaluations")
+    with folder.journal() as journal:
+        recorded = tally(spec, journal.blocks())
+        last = journal.rows(max(0, journal.count - 1), 1)
+    reached = recorded.evaluations + int(len(last) > 0 and not counted(last, spec.overlaps)[0])
+    if evaluations < reached:
+        raise ImpossibleValue("--evaluations", evaluations, f"at least {reached}, which are recorded")
+    folder.rewrite_spec(spec)

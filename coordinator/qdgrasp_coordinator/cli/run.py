@@ -81,13 +81,14 @@ def start(
     begun: Callable[[RunFolder], None] = lambda _folder: None,
 ) -> None:
     """Begin a run in a new folder and carry it out; `begun` is called in between."""
-    with lifetime("qdgrasp run") as stop, display(out.name, spec.evaluations) as shown:
-        RunFolder.check_free(out)
+    RunFolder.check_free(out)
+    with display(out.name, spec.evaluations) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         _, bundle = preparation.make_bundle(spec)
-        folder = RunFolder.create(out, spec, bundle, job=job)
-        begun(folder)
-        carry_out(folder, team, shown, stop)
+        with lifetime("qdgrasp run") as stop:
+            folder = RunFolder.create(out, spec, bundle, job=job)
+            begun(folder)
+            carry_out(folder, team, shown, stop)
     finish(folder, stop.exit_code)
 
 
