@@ -12,8 +12,9 @@ from msgspec import Struct
 
 from qdgrasp_assets.carrier import CARRIERS
 from qdgrasp_assets.files import on_asset_path, searched
-from qdgrasp_assets.scene import FreeJoint, Joint, SceneGripper, Synergy
-from qdgrasp_assets.urdf import Urdf, UrdfJoint, read_urdf
+from qdgrasp_assets.scene import FreeJoint, Jaw, Joint, SceneGripper, Synergy, Vector
+from qdgrasp_assets.shapes import largest_side
+from qdgrasp_assets.urdf import Urdf, UrdfJoint, read_urdf, tree
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
 ON_ASSET_PATH = "asset://"
@@ -48,6 +49,20 @@ class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     high: float
 
 
+class JawTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[jaw]`: the two opposing fingers of a two-finger hand."""
+
+    axis: tuple[float, float, float]
+    """From one finger to the other, base link's frame."""
+    opening: float
+    """Between the open fingers [m]."""
+
+    @property
+    def packed(self) -> Jaw:
+        """As a scene holds it."""
+        return Jaw(axis=_unit(self.axis), opening=self.opening)
+
+
 class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What a gripper's TOML says (docs/grippers.md)."""
 
@@ -62,6 +77,8 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     joints: dict[str, JointTable]
     synergies: tuple[SynergyTable, ...] = ()
     free_joints: dict[str, FreeJointTable] = {}
+    jaw: JawTable | None = None
+    """Left out: not a two-finger hand."""
     carrier_hold_force: float = 100.0
     """Force that holds the carrier's joints in `released` [N, Nm]."""
 
@@ -73,6 +90,7 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 NESTED = {"joints": JointTable, "synergies": SynergyTable, "free_joints": FreeJointTable}
+RIGHT = 1e-3  # the cosine up to which an angle is taken for a right one
 
 
 @dataclass(frozen=True)
@@ -90,8 +108,6 @@ class Gripper:
         file = self.file
         carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
         element, meshes = carried.urdf.bundled()
-        axis = np.array(file.approach_axis) / np.linalg.norm(file.approach_axis)
-        x, y, z = (float(value) for value in axis)
         return SceneGripper(
             name=self.name,
             source=self.source,
@@ -106,9 +122,11 @@ class Gripper:
             free_joints=tuple(
                 FreeJoint(name=name, low=each.low, high=each.high) for name, each in file.free_joints.items()
             ),
-            approach_axis=(x, y, z),
+            approach_axis=_unit(file.approach_axis),
             palm_offset=file.palm_offset,
             standoff=file.standoff,
+            jaw=file.jaw.packed if file.jaw else None,
+            extent=round(largest_side(tree(self.robot.path, element).subtree(file.base_link), meshes), 6),
         )
 
     def _joint(self, name: str, table: JointTable) -> Joint:
@@ -122,6 +140,11 @@ class Gripper:
             velocity=told.velocity if table.velocity is None else table.velocity,
             driven=table.driven,
         )
+
+
+def _unit(axis: Vector) -> Vector:
+    x, y, z = (float(value) for value in np.array(axis) / np.linalg.norm(axis))
+    return x, y, z
 
 
 def read_gripper(path: Path, name: str, source: str) -> Gripper:
@@ -165,6 +188,8 @@ def read_gripper_file(path: Path) -> GripperFile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise AssetError(f"'{path}' is not TOML: {error}.") from None
     _check_keys(str(path), values, GripperFile)
+    if "jaw" in values:
+        _check_keys(f"{path}: jaw", values["jaw"], JawTable)
     for table, struct in NESTED.items():
         inner = values.get(table, {})
         for label, entry in inner.items() if isinstance(inner, dict) else enumerate(inner):
@@ -241,5 +266,17 @@ def _check_numbers(path: Path, file: GripperFile) -> None:
         raise AssetError(f"The gripper '{path}': palm_offset must be 0 or more, got {file.palm_offset:g}.")
     if not np.linalg.norm(file.approach_axis) > 0:
         raise AssetError(f"The gripper '{path}': approach_axis must not be zero.")
+    if file.jaw is not None:
+        _check_jaw(path, file, file.jaw)
     if not file.finger_links:
         raise AssetError(f"The gripper '{path}': finger_links must name at least one link.")
+
+
+def _check_jaw(path: Path, file: GripperFile, jaw: JawTable) -> None:
+    if not jaw.opening > 0:
+        raise AssetError(f"The gripper '{path}': jaw.opening must be greater than 0, got {jaw.opening:g}.")
+    lengths = np.linalg.norm(jaw.axis) * np.linalg.norm(file.approach_axis)
+    if not lengths > 0 or abs(np.dot(jaw.axis, file.approach_axis)) > RIGHT * lengths:
+        raise AssetError(
+            f"The gripper '{path}': jaw.axis must be at right angles to approach_axis, got {list(jaw.axis)}."
+        )

@@ -14,7 +14,6 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.genome import GIVEN, Gene, Layout
 
 Vector = tuple[float, float, float]
 
@@ -63,6 +62,15 @@ class CarrierJoint(Struct, frozen=True, kw_only=True):
     """"z" or "x" for the joint that the translation or rotation shake moves, else empty."""
 
 
+class Jaw(Struct, frozen=True, kw_only=True):
+    """How the two opposing fingers of a two-finger hand close."""
+
+    axis: Vector
+    """Unit vector in the base frame from one finger to the other, at right angles to the approach axis."""
+    opening: float
+    """Between the open fingers [m]."""
+
+
 class SceneGripper(Struct, frozen=True, kw_only=True):
     """A hand on its carrier."""
 
@@ -89,6 +97,15 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
     """From the base frame to the palm along the approach axis (w) [m]."""
     standoff: tuple[float, float]
     """The range of the gene d: from the palm to the surface point [m]."""
+    jaw: Jaw | None = None
+    """None: not a two-finger hand."""
+    extent: float
+    """The largest side of the bounding box of its collision shapes, joints at zero, base frame [m]."""
+
+    @property
+    def reach(self) -> float:
+        """The farthest that the base frame can be from the surface point that the palm looks at [m]."""
+        return self.palm_offset + self.standoff[1]
 
 
 class SceneObject(Struct, frozen=True, kw_only=True):
@@ -111,6 +128,13 @@ class SceneObject(Struct, frozen=True, kw_only=True):
     """The surface mesh for drawing and geometry, float32 (v, 3), CoM frame."""
     mesh_faces: bytes
     """uint32 (f, 3), outward winding."""
+
+    @property
+    def triangles(self) -> NDArray[np.float32]:
+        """(f, 3, 3) [m]: the corners of the surface mesh's triangles, CoM frame."""
+        vertices = np.frombuffer(self.mesh_vertices, dtype="<f4").reshape(-1, 3)
+        corners: NDArray[np.float32] = vertices[np.frombuffer(self.mesh_faces, dtype="<u4").reshape(-1, 3)]
+        return corners
 
 
 class Scene(Struct, frozen=True, kw_only=True):
@@ -140,44 +164,6 @@ class Scene(Struct, frozen=True, kw_only=True):
     def surface_normals(self) -> NDArray[np.float32]:
         """(n, 3), unit, outward, CoM frame."""
         return np.frombuffer(self.normals, dtype="<f4").reshape(-1, 3)
-
-    @property
-    def reach(self) -> float:
-        """The farthest that the base frame can be from a surface point [m]."""
-        return self.gripper.palm_offset + self.gripper.standoff[1]
-
-    @property
-    def archive_box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Low and high corner of the box of hand positions: the object's box enlarged by the reach."""
-        return np.array(self.object_low) - self.reach, np.array(self.object_high) + self.reach
-
-
-PRIOR_CONE = {"contact": np.pi, "approach": np.pi / 4}
-"""nu_a by prior: contact is approach with nu_a = pi (Huber et al. 2024, section III-A)."""
-
-
-def layout(scene: Scene, prior: str) -> Layout:
-    """The genes that a prior has with this scene: the prior's own, then the synergy, then the free joints.
-
-    theta = (x_r, y_r, z_r, nu, d, xi, omega), Huber et al. 2024, eq. 2. The synergy gene maps to
-    round(values) in 0 .. m - 1. Poses that are scored as given have x y z [m], qx qy qz qw first, then the
-    synergy's label (-1: none) and the free joints' positions [rad], all as they are.
-    """
-    gripper = scene.gripper
-    extra = [Gene("synergy", 0.0, len(gripper.synergies) - 1.0)] if gripper.synergies else []
-    extra += [Gene(joint.name, joint.low, joint.high) for joint in gripper.free_joints]
-    if prior == GIVEN:
-        own = [Gene(name, -1.0, 1.0) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    else:
-        finder = zip("xyz", scene.finder_low, scene.finder_high, strict=True)
-        own = [Gene(f"{axis}_r", low, high) for axis, low, high in finder]
-        own += [
-            Gene("nu", 0.0, PRIOR_CONE[prior]),
-            Gene("d", *gripper.standoff),
-            Gene("xi", 0.0, 2 * np.pi),
-            Gene("omega", 0.0, 2 * np.pi),
-        ]
-    return Layout(prior, tuple(own + extra))
 
 
 @dataclass(frozen=True)

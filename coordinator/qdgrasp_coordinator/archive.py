@@ -26,7 +26,7 @@ FAILED = -1.0
 """The objective of a valid pose that is no success: below every success, whose objective is its fitness."""
 
 Box: TypeAlias = tuple[ArrayLike, ArrayLike]
-"""Low and high corner (3,) [m], CoM frame: `Scene.archive_box`."""
+"""Low and high corner (3,) [m], CoM frame: `genes.archive_box`."""
 
 
 @dataclass(frozen=True)

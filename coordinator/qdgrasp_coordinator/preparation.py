@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.scene import Bundle, Scene, layout, pack_scene
+from qdgrasp_assets.genes import archive_box, layout
+from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import method
 from qdgrasp_coordinator.service import Assignment
@@ -49,7 +50,7 @@ def assignment(spec: RunSpec, scene: Scene, bundle: Bundle) -> Assignment:
     """A run, ready for the coordinator."""
     chosen = method(spec.method)
     shape = scene_shape(scene, chosen.prior)
-    search = chosen.build(spec, shape.genes, scene.archive_box)
+    search = chosen.build(spec, shape.genes, archive_box(scene, chosen.prior))
     pipeline = Pipeline(
         search,
         shape,

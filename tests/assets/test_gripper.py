@@ -5,7 +5,7 @@ import pytest
 
 from qdgrasp_assets.catalog import find_gripper, gripper_names
 from qdgrasp_assets.gripper import read_gripper
-from qdgrasp_protocol.errors import AssetError, UnknownKey
+from qdgrasp_protocol.errors import AssetError, InputError, UnknownKey
 
 
 def read(path):
@@ -141,3 +141,37 @@ def test_a_reference_hand_without_its_data_says_where_it_was_looked_for(monkeypa
     monkeypatch.delenv("QDGRASP_ASSET_PATH")
     with pytest.raises(AssetError, match="QDGRASP_ASSET_PATH is not set"):
         find_gripper("ref_panda_2f")
+
+
+JAW = "\n[jaw]\naxis = [0, 3, 0]\nopening = 0.08\n"
+
+
+def test_the_axis_of_the_jaw_is_brought_to_one(claw: Path) -> None:
+    claw.write_text(claw.read_text() + JAW)
+    jaw = read_gripper(claw, "claw", "tests").on_carrier("paper").jaw
+    assert jaw is not None
+    assert (jaw.axis, jaw.opening) == ((0.0, 1.0, 0.0), 0.08)
+
+
+def test_a_hand_without_a_jaw_has_none(claw: Path) -> None:
+    assert read_gripper(claw, "claw", "tests").on_carrier("paper").jaw is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[0, 3, 0]", "[0, 3, 1]", "right angles"),
+        ("[0, 3, 0]", "[0, 0, 0]", "right angles"),
+        ("0.08", "0.0", "greater than 0"),
+        ("opening", "width", "unknown key 'width'"),
+        ("opening = 0.08", "", "opening"),
+    ],
+)
+def test_an_impossible_jaw_is_refused(claw: Path, old: str, new: str, words: str) -> None:
+    claw.write_text(claw.read_text() + JAW.replace(old, new))
+    with pytest.raises(InputError, match=words):
+        read_gripper(claw, "claw", "tests")
+
+
+def test_the_extent_is_the_largest_side_of_the_hand_alone_at_zero(claw: Path) -> None:
+    assert read_gripper(claw, "claw", "tests").on_carrier("released").extent == pytest.approx(0.11)

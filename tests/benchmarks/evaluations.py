@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 from tests.benchmarks.measure import Figure, Meter
 
 from qdgrasp_assets.catalog import build_scene, object_names
-from qdgrasp_assets.scene import Scene, layout
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec

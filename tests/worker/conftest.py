@@ -13,6 +13,9 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
 
+NEAR = (-1.0, -0.5)
+"""Genes nu and d of genomes that look straight at the surface from near by."""
+
 
 @cache
 def scene_of(gripper: str, target: str, protocol: str) -> Scene:
@@ -50,8 +53,8 @@ def draw() -> Callable[..., NDArray[np.float32]]:
 
     def draw(n: int, genes: int = 7, seed: int = 0, near: int = 0) -> NDArray[np.float32]:
         genomes = np.random.default_rng(seed).uniform(-1.0, 1.0, (n, genes)).astype(np.float32)
-        genomes[:near, 3] = -1.0
-        genomes[:near, 4] = -0.5
+        if near:
+            genomes[:near, 3:5] = NEAR
         return genomes
 
     return draw

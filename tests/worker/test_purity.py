@@ -2,16 +2,23 @@
 
 import subprocess
 import sys
+import warnings
+from functools import partial
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.scene import FreeJoint, Scene, Synergy, layout, pack_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import FreeJoint, Scene, Synergy, pack_scene
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import RESULT
+from qdgrasp_worker.decode import Decoder
 from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.surface import Surface
 
 LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
 ELSEWHERE = """
@@ -23,7 +30,7 @@ from qdgrasp_worker.evaluate import Evaluator
 folder = Path(sys.argv[1])
 genomes = np.load(folder / "genomes.npy")
 with Evaluator(unpack_scene((folder / "scene").read_bytes())) as evaluator:
-    rows = evaluator.evaluate("approach", genomes, np.zeros(len(genomes), np.uint16)).rows
+    rows = evaluator.evaluate(sys.argv[2], genomes, np.zeros(len(genomes), np.uint16)).rows
 np.save(folder / "rows.npy", rows)
 """
 
@@ -42,33 +49,60 @@ def many_ways(scene: Scene) -> Scene:
     return msgspec.structs.replace(scene, gripper=gripper)
 
 
-SCENES = {
-    "paper": lambda make: make("panda", "rubiks_cube", "paper"),
-    "released": lambda make: make("panda", "mug", "released"),
-    "synergies": lambda make: many_ways(make("panda", "tennis_ball", "released")),
+CASES = {
+    "paper": ("approach", lambda make: make("panda", "rubiks_cube", "paper")),
+    "released": ("approach", lambda make: make("panda", "mug", "released")),
+    "synergies": ("approach", lambda make: many_ways(make("panda", "tennis_ball", "released"))),
+    "antipodal": ("antipodal", lambda make: make("panda", "mug", "paper")),
+    "spherical": ("spherical", lambda make: make("panda", "tennis_ball", "paper")),
 }
 
 
-@pytest.fixture(scope="module", params=SCENES)
-def scene(request, make_scene):
-    return SCENES[request.param](make_scene)
+def spherical(scene: Scene, genomes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Genomes (n, 6) of the prior spherical for the poses of genomes (n, 7) of the prior approach."""
+    grasps = Decoder(scene, "approach", Surface(scene))(genomes)
+    x, y, z = grasps.positions.astype(np.float64).T
+    with warnings.catch_warnings(action="ignore"):  # scipy says where an angle is not unique
+        angles = Rotation.from_quat(grasps.quaternions).as_euler("xyz")
+    polar = [np.sqrt(x * x + y * y + z * z), np.arctan2(y, x), np.arctan2(np.hypot(x, y), z)]
+    values = np.column_stack([*polar, angles]) % (2 * np.pi)
+    high = [gene.high for gene in layout(scene, "spherical").genes]
+    return (values / high * 2 - 1).astype(np.float32)
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request):
+    return CASES[request.param]
 
 
 @pytest.fixture(scope="module")
-def genomes(scene, draw):
-    return draw(320, len(layout(scene, "approach")), seed=3, near=32)
+def scene(case, make_scene):
+    return case[1](make_scene)
 
 
 @pytest.fixture(scope="module")
-def rows(scene, genomes):
-    return evaluate(scene, genomes)
+def evaluate(case, scene):
+    return partial(evaluated, scene, case[0])
 
 
-def evaluate(scene, genomes, batch=None):
+@pytest.fixture(scope="module")
+def genomes(case, scene, draw):
+    if case[0] == "antipodal":
+        return draw(320, 4, seed=3)
+    near = draw(320, len(layout(scene, "approach")), seed=3, near=32)
+    return spherical(scene, near) if case[0] == "spherical" else near
+
+
+@pytest.fixture(scope="module")
+def rows(evaluate, genomes):
+    return evaluate(genomes)
+
+
+def evaluated(scene, prior, genomes, batch=None):
     batch = batch or len(genomes)
     with Evaluator(scene) as evaluator:
         parts = [
-            evaluator.evaluate("approach", part, np.zeros(len(part), np.uint16))
+            evaluator.evaluate(prior, part, np.zeros(len(part), np.uint16))
             for part in np.split(genomes, range(batch, len(genomes), batch))
         ]
     assert not any(part.failures for part in parts)
@@ -87,26 +121,26 @@ def test_the_genomes_reach_every_phase(rows):
 
 
 @pytest.mark.parametrize("order", ["reversed", "shuffled"])
-def test_another_order_gives_the_same_bytes(scene, genomes, rows, order):
+def test_another_order_gives_the_same_bytes(evaluate, genomes, rows, order):
     place = np.arange(len(genomes))[::-1]
     if order == "shuffled":
         place = np.random.default_rng(5).permutation(len(genomes))
-    assert results(evaluate(scene, genomes[place])) == results(rows[place])
+    assert results(evaluate(genomes[place])) == results(rows[place])
 
 
 @pytest.mark.parametrize("batch", [1, 37])
-def test_another_batch_size_gives_the_same_bytes(scene, genomes, rows, batch):
-    assert results(evaluate(scene, genomes, batch)) == results(rows)
+def test_another_batch_size_gives_the_same_bytes(evaluate, genomes, rows, batch):
+    assert results(evaluate(genomes, batch)) == results(rows)
 
 
-def test_a_world_of_its_own_for_each_genome_gives_the_same_bytes(scene, genomes, rows):
+def test_a_world_of_its_own_for_each_genome_gives_the_same_bytes(evaluate, genomes, rows):
     some = slice(20, 60)
-    alone = [evaluate(scene, genome[None]) for genome in genomes[some]]
+    alone = [evaluate(genome[None]) for genome in genomes[some]]
     assert results(np.concatenate(alone)) == results(rows[some])
 
 
-def test_another_process_gives_the_same_bytes(scene, genomes, rows, tmp_path):
+def test_another_process_gives_the_same_bytes(case, scene, genomes, rows, tmp_path):
     np.save(tmp_path / "genomes.npy", genomes)
     (tmp_path / "scene").write_bytes(pack_scene(scene).payload)
-    subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path)], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path), case[0]], check=True, timeout=120)
     assert results(np.load(Path(tmp_path, "rows.npy"))) == results(rows)

@@ -7,7 +7,8 @@ it does not, and exactly the rounded pose is simulated, stored and exported (doc
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.scene import Scene, layout
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_worker.grasp import NO_SYNERGY, Grasps
 from qdgrasp_worker.priors import PRIORS
@@ -22,6 +23,8 @@ class Decoder:
     ------
     UnknownName
         There is no such prior.
+    JawNeeded
+        The prior is for two-finger hands, and the scene's is none.
     """
 
     def __init__(self, scene: Scene, prior: str, surface: Surface) -> None:
@@ -48,6 +51,7 @@ class Decoder:
             synergies=self._synergies(values),
             surface_points=poses.surface_points.astype(np.float32),
             nu=poses.nu.astype(np.float32),
+            dead_ends=poses.dead_ends,
         )
 
     def _synergies(self, values: Floats) -> NDArray[np.int64]:

@@ -6,12 +6,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.scene import Scene, layout
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_worker.decode import Decoder
 from qdgrasp_worker.episode import Episode, Verdict
-from qdgrasp_worker.grasp import Grasps, Pose
+from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.protocols import PROTOCOLS
 from qdgrasp_worker.surface import Surface
 from qdgrasp_worker.world import World
@@ -77,7 +79,7 @@ class Evaluator:
         rows = self.shape(prior).empty(len(genomes))
         rows["genome"], rows["trial"] = genomes, trials
         found = [
-            refusal or self._verdict(grasps[i]) for i, refusal in enumerate(refusals(genomes, trials, grasps))
+            refusal or self._verdict(grasps, i) for i, refusal in enumerate(refusals(genomes, trials, grasps))
         ]
         verdicts = {i: verdict for i, verdict in enumerate(found) if isinstance(verdict, Verdict)}
         fill(rows, grasps, verdicts)
@@ -89,8 +91,11 @@ class Evaluator:
             self._decoders[prior] = Decoder(self.scene, prior, self._surface)
         return self._decoders[prior]
 
-    def _verdict(self, pose: Pose) -> Verdict | str:
+    def _verdict(self, grasps: Grasps, i: int) -> Verdict | str:
         """What an episode finds, or the reason why it failed; the next one starts in a new world then."""
+        pose = grasps[i]
+        if grasps.dead_ends[i]:
+            return Verdict(Outcome.DEAD_END, pose.joints)
         try:
             return Episode(self._world, PROTOCOLS[self.scene.protocol]).run(pose)
         except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's

@@ -35,6 +35,8 @@ class Grasps:
     """(n, 3) [m], CoM frame; zeros where the prior aims at none."""
     nu: NDArray[np.float32]
     """(n,) [rad], between the normal there and the direction to the hand; 0 where there is none."""
+    dead_ends: NDArray[np.bool_]
+    """(n,): which genomes stand for no pose; zeros are in its place."""
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+import qdgrasp_assets.genes
 import qdgrasp_assets.scene
 import qdgrasp_protocol.genome
 import qdgrasp_protocol.outcome
@@ -21,6 +22,7 @@ from qdgrasp_worker.evaluate import Evaluator
 SERVING = frozenset({"cli", "desk", "library", "platform", "service"})
 """Modules of this room that bring work and carry results away, without a say in them."""
 CONTRACTS = (
+    qdgrasp_assets.genes,
     qdgrasp_assets.scene,
     qdgrasp_protocol.genome,
     qdgrasp_protocol.outcome,

@@ -145,7 +145,7 @@ def _links(scene: Scene, chosen: Rows) -> Iterator[Link]:
     for turn, row in enumerate(chosen):
         hue = _rgb(HUES[turn % len(HUES)])
         for shape, vertices in drawn.posed(row["base_to_object"].astype(float), row["joints"].astype(float)):
-            yield Link(Mesh(vertices, shape.faces), hue, shape.finger)
+            yield Link(Mesh(vertices, shape.faces), hue, drawn.is_finger(shape))
 
 
 def _camera(meshes: list[Mesh], azimuth: float, pixels: int) -> Camera:

@@ -39,6 +39,7 @@ def jaw(name: str) -> SceneGripper:
         approach_axis=(0.0, 0.0, 1.0),
         palm_offset=0.06,
         standoff=(0.0, 0.05),
+        extent=0.2,
     )
 
 

@@ -22,7 +22,8 @@ def test_the_fingers_stand_where_their_joints_put_them(make_scene) -> None:
 
 
 def test_only_finger_links_are_fingers(make_scene) -> None:
-    assert {shape.link: shape.finger for shape in hand(make_scene().gripper).shapes} == {
+    found = hand(make_scene().gripper)
+    assert {shape.link: found.is_finger(shape) for shape in found.shapes} == {
         "palm": False,
         "left_finger": True,
         "right_finger": True,

@@ -29,7 +29,7 @@ class Cone(Prior):
         points = surface.points[nearest]
         outward = leaning(surface.normals[nearest], nu, xi)
         positions = points + (d + hand.palm_offset)[:, None] * outward
-        return Poses(positions, looking(-outward, omega, hand), points, nu)
+        return Poses(positions, looking(-outward, omega, hand), points, nu, np.zeros(len(genes), bool))
 
 
 def leaning(normals: Floats, nu: Floats, xi: Floats) -> Floats:

@@ -28,7 +28,8 @@ class Given(Prior):
         given = genes[:, 3:7]
         lengths = np.sqrt((given * given).sum(axis=1, keepdims=True))
         quaternions = np.where(np.abs(lengths - 1.0) < ROUNDING, given, given / lengths)
-        return Poses(genes[:, :3], quaternions, np.zeros((len(genes), 3)), np.zeros(len(genes)))
+        n = len(genes)
+        return Poses(genes[:, :3], quaternions, np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=bool))
 
 
 GIVEN = Given()

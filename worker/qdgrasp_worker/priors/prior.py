@@ -24,6 +24,8 @@ class Poses:
     """(n, 3) [m]; zeros where the prior aims at none."""
     nu: Floats
     """(n,) [rad]; zero where the prior aims at none."""
+    dead_ends: NDArray[np.bool_]
+    """(n,): which genomes stand for no pose, though all of their genes do; their poses are zeros."""
 
 
 class Prior(ABC):

@@ -1,0 +1,117 @@
+"""Genes: which of them a prior has with a scene, and the box of positions that they can bring the hand to."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import JawNeeded
+from qdgrasp_protocol.genome import GIVEN, Gene, Layout
+
+Genes = tuple[Gene, ...]
+Box = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+NU_A = np.pi / 4
+"""Half-aperture of the approach cone (Huber et al. 2024, section III-A)."""
+
+
+def layout(scene: Scene, prior: str) -> Layout:
+    """The genes that a prior has with this scene: the prior's own, then the synergy, then the free joints.
+
+    The synergy gene maps to round(values) in 0 .. m - 1; poses that are scored as given hold its label
+    (-1: none) and the free joints' positions [rad] as they are.
+
+    Raises
+    ------
+    JawNeeded
+        The prior is for two-finger hands, and this hand is none.
+    """
+    gripper = scene.gripper
+    synergy = (Gene("synergy", 0.0, len(gripper.synergies) - 1.0),) if gripper.synergies else ()
+    free = tuple(Gene(joint.name, joint.low, joint.high) for joint in gripper.free_joints)
+    return Layout(prior, OWN[prior](scene) + synergy + free)
+
+
+def archive_box(scene: Scene, prior: str) -> Box:
+    """Low and high corner (3,) [m] of the box that hand positions are kept in, CoM frame."""
+    return BOXES.get(prior, _around_object)(scene)
+
+
+def spherical_radius(scene: Scene) -> float:
+    """L_ss: the largest side of the hand, joints at zero, and that of the object, together [m].
+
+    The released code of the paper takes the same sum of Bullet's boxes, which are 4 to 11 mm larger.
+    """
+    sides = np.array(scene.object_high) - np.array(scene.object_low)
+    return scene.gripper.extent + float(sides.max())
+
+
+def _given(_: Scene) -> Genes:
+    return tuple(Gene(name, -1.0, 1.0) for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+
+
+def _finder(scene: Scene) -> Genes:
+    corners = zip("xyz", scene.finder_low, scene.finder_high, strict=True)
+    return tuple(Gene(f"{axis}_r", low, high) for axis, low, high in corners)
+
+
+def _cone(scene: Scene, aperture: float) -> Genes:
+    """The genes theta = (x_r, y_r, z_r, nu, d, xi, omega), Huber et al. 2024, eq. 2."""
+    return (
+        *_finder(scene),
+        Gene("nu", 0.0, aperture),
+        Gene("d", *scene.gripper.standoff),
+        Gene("xi", 0.0, 2 * np.pi),
+        Gene("omega", 0.0, 2 * np.pi),
+    )
+
+
+def _contact(scene: Scene) -> Genes:
+    """Contact is approach with nu_a = pi (Huber et al. 2024, section III-A)."""
+    return _cone(scene, np.pi)
+
+
+def _approach(scene: Scene) -> Genes:
+    return _cone(scene, NU_A)
+
+
+def _antipodal(scene: Scene) -> Genes:
+    """The genes theta = (x_r1, y_r1, z_r1, Omega), Huber et al. 2024, eq. 4."""
+    if scene.gripper.jaw is None:
+        raise JawNeeded("antipodal", scene.gripper.name)
+    return (*_finder(scene), Gene("Omega", 0.0, 2 * np.pi))
+
+
+def _spherical(scene: Scene) -> Genes:
+    """The genes of the paper's methods without a prefix; its released code has these intervals."""
+    angles = {"longitude": 2 * np.pi, "colatitude": np.pi}
+    angles |= dict.fromkeys(("alpha", "beta", "gamma"), 2 * np.pi)
+    radius = Gene("r", 0.0, spherical_radius(scene))
+    return (radius, *(Gene(name, 0.0, high) for name, high in angles.items()))
+
+
+OWN: dict[str, Callable[[Scene], Genes]] = {
+    GIVEN: _given,
+    "antipodal": _antipodal,
+    "approach": _approach,
+    "contact": _contact,
+    "spherical": _spherical,
+}
+"""The prior's own genes, by its name."""
+
+
+def _around_object(scene: Scene) -> Box:
+    """The object's box, enlarged by how far a hand can be from the surface that it looks at."""
+    reach = scene.gripper.reach
+    return np.array(scene.object_low) - reach, np.array(scene.object_high) + reach
+
+
+def _around_ball(scene: Scene) -> Box:
+    """The ball about the centre of mass that spherical positions fill."""
+    corner = np.full(3, spherical_radius(scene))
+    return -corner, corner
+
+
+BOXES: dict[str, Callable[[Scene], Box]] = {"spherical": _around_ball}
+"""The priors whose positions are not bound to the surface."""
