@@ -17,6 +17,9 @@ from qdgrasp_protocol.errors import MessageError
 
 Vector = tuple[float, float, float]
 
+FORMAT = 2
+"""The version of the bundle: it grows whenever a field of a scene comes, goes or changes its meaning."""
+
 
 class Joint(Struct, frozen=True, kw_only=True):
     """One finger joint that moves in an evaluation or is held."""
@@ -140,7 +143,7 @@ class SceneObject(Struct, frozen=True, kw_only=True):
 class Scene(Struct, frozen=True, kw_only=True):
     """What a worker needs to evaluate genomes."""
 
-    format: int = 1
+    format: int = FORMAT
     protocol: str
     gripper: SceneGripper
     object: SceneObject
@@ -190,6 +193,10 @@ def unpack_scene(payload: bytes) -> Scene:
         These bytes are not a scene of this format.
     """
     try:
-        return msgspec.convert(msgpack.unpackb(payload, max_ext_len=0), Scene)
+        values = msgpack.unpackb(payload, max_ext_len=0)
+        came = values.get("format") if isinstance(values, dict) else None
+        if came != FORMAT:
+            raise MessageError(f"it is of format {came}, this version of qdgrasp reads format {FORMAT}")
+        return msgspec.convert(values, Scene)
     except (ValueError, msgpack.UnpackException, msgspec.ValidationError) as error:
         raise MessageError(f"not a scene bundle: {error}") from None

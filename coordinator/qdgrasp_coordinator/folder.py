@@ -172,7 +172,10 @@ class RunFolder:
         try:
             return unpack_scene(self._read(SCENE))
         except MessageError as error:
-            raise disk.damaged(self.path / SCENE, str(error)) from None
+            raise FolderError(
+                f"{self.path / SCENE} cannot be read: {error}; "
+                "use the version of qdgrasp that wrote it, or restore the file from a copy."
+            ) from None
 
     def journal(self) -> Journal:
         """The journal as it is now, for a with-block; empty before a recorder opened the run."""

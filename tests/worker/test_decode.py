@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.scene import FreeJoint, Synergy
 from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_worker.decode import Decoder
-from qdgrasp_worker.grasp import NO_SYNERGY
 from qdgrasp_worker.priors import PRIORS
 from qdgrasp_worker.surface import Surface
 

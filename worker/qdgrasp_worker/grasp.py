@@ -5,9 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-NO_SYNERGY = -1
-"""The label of a posture that closes with every driven joint."""
-
 
 @dataclass(frozen=True)
 class Pose:
