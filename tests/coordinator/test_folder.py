@@ -87,12 +87,12 @@ def test_the_epoch_survives(folder: RunFolder) -> None:
 
 def test_a_damaged_job_file_is_named(folder: RunFolder) -> None:
     (folder.path / "job.json").write_text('{"job": "a", "epoch"')
-    with pytest.raises(FolderError, match=r"job\.json is damaged"):
+    with pytest.raises(FolderError, match=r"job\.json cannot be read"):
         assert folder.epoch
 
 
 def test_a_damaged_scene_is_named(folder: RunFolder) -> None:
-    with pytest.raises(FolderError, match=r"scene\.bundle is damaged"):
+    with pytest.raises(FolderError, match=r"scene\.bundle cannot be read"):
         folder.scene()
 
 
