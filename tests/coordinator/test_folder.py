@@ -87,7 +87,7 @@ def test_the_epoch_survives(folder: RunFolder) -> None:
 
 def test_a_damaged_job_file_is_named(folder: RunFolder) -> None:
     (folder.path / "job.json").write_text('{"job": "a", "epoch"')
-    with pytest.raises(FolderError, match=r"job\.json cannot be read"):
+    with pytest.raises(FolderError, match=r"job\.json is damaged"):
         assert folder.epoch
 
 
