@@ -10,7 +10,6 @@
             * DiskFull               there is no room to write in it
         * ReplayError            a journal that its own spec does not replay to
         * JawNeeded              a prior for two-finger hands, and a hand that is none
-        * JawNeeded              a prior for two-finger hands, and a hand that is none
         * EndpointError          an endpoint that cannot be listened on or reached
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
@@ -87,24 +86,6 @@ class FolderError(InputError):
 
 class DiskFull(FolderError):
     """There is no room to write in a run folder; what was written before is whole."""
-
-
-class JawNeeded(InputError):
-    """A prior for two-finger hands, and a hand that is none.
-
-    Parameters
-    ----------
-    prior
-        The prior.
-    gripper
-        The hand.
-    """
-
-    def __init__(self, prior: str, gripper: str) -> None:
-        super().__init__(
-            f"The prior '{prior}' is for two-finger hands, and the gripper '{gripper}' has no [jaw]; "
-            "choose a method with another prior (`qdgrasp methods` lists them)."
-        )
 
 
 class JawNeeded(InputError):

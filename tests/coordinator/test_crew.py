@@ -58,7 +58,7 @@ def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(crew):
         [
             "-n1",
             "-r1",
-            "import os; os.write(1, b'qdgrasp-worker: first\\nqdgrasp-worker: at: last\\n12:00 [info] x\\n'); os._exit(2)",
+            r"import os; os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n'); os._exit(2)",
         ],
     )
     crew.process("talker").wait(30)
