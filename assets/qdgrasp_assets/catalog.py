@@ -14,6 +14,7 @@ from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 GRIPPERS = Path(__file__).parent / "grippers"
+ABSENT = "absent"
 REFERENCE = "ref_"
 """What the names of the reference hands begin with."""
 
@@ -24,8 +25,13 @@ class Listing:
 
     name: str
     source: str
-    """Where it is: "built in" or "asset path"."""
+    """Where it is: "built in", "asset path", "fetched" or "absent"."""
     licence: str
+
+    @property
+    def is_there(self) -> bool:
+        """Whether it can be used."""
+        return self.source != ABSENT
 
 
 def build_scene(spec: RunSpec) -> Scene:
@@ -115,18 +121,29 @@ def object_names() -> tuple[str, ...]:
 
 def grippers() -> tuple[Listing, ...]:
     """The grippers whose files are there."""
-    files = {path.stem: read_gripper_file(path) for path in _gripper_files()}
-    return tuple(
-        Listing(name, _gripper_source(name), file.licence)
-        for name, file in files.items()
-        if file.find_urdf(GRIPPERS / f"{name}.toml") is not None
-    )
+    return tuple(listing for listing in every_gripper() if listing.is_there)
 
 
 def objects() -> tuple[Listing, ...]:
     """The stand-ins, and the scans that are there."""
+    return tuple(listing for listing in every_object() if listing.is_there)
+
+
+def every_gripper() -> tuple[Listing, ...]:
+    """All grippers that this package knows, also those whose files are absent."""
+    files = {path: read_gripper_file(path) for path in _gripper_files()}
+    return tuple(
+        Listing(
+            path.stem, ABSENT if file.find_urdf(path) is None else _gripper_source(path.stem), file.licence
+        )
+        for path, file in files.items()
+    )
+
+
+def every_object() -> tuple[Listing, ...]:
+    """All stand-ins and scans, also absent ones."""
     own = tuple(Listing(name, "built in", LICENCE) for name in STAND_INS)
-    return own + tuple(Listing(name, "asset path", ycb.LICENCE) for name in ycb.SCANS if ycb.is_there(name))
+    return own + tuple(Listing(name, ycb.source(name), ycb.LICENCE) for name in ycb.SCANS)
 
 
 def _gripper_files() -> tuple[Path, ...]:

@@ -49,7 +49,7 @@ def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple
     """
     if is_convex(mesh):
         return (simple(hull(mesh.vertices)),)
-    cached = cache_folder() / "convex" / f"{_key(mesh)}.obj"
+    cached = _cached(mesh)
     if not cached.is_file():
         log.warning(
             "Decomposing '%s' (%d triangles) into convex parts, once; this takes up to a few minutes.",
@@ -58,6 +58,17 @@ def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple
         )
         _decompose(mesh, name, cached, time_limit)
     return read_parts(cached)
+
+
+def collision_parts(mesh: Mesh, name: str) -> tuple[str, tuple[Mesh, ...]]:
+    """Where the convex parts of a mesh come from, "own hull" or "coacd", and the parts."""
+    return "own hull" if is_convex(mesh) else "coacd", convex_parts(mesh, name)
+
+
+def parts_at_hand(mesh: Mesh) -> tuple[Mesh, ...] | None:
+    """What `convex_parts` gives, where that takes no time; None where CoACD has not run yet."""
+    cached = _cached(mesh)
+    return convex_parts(mesh, "") if is_convex(mesh) or cached.is_file() else None
 
 
 def is_convex(mesh: Mesh) -> bool:
@@ -72,6 +83,11 @@ def simple(part: Mesh) -> Mesh:
         return part
     scaled = part.vertices / part.extents
     return hull(part.vertices[np.unique((scaled @ directions.T).argmax(axis=0))])
+
+
+def _cached(mesh: Mesh) -> Path:
+    """Where the parts of this mesh are kept once they are found."""
+    return cache_folder() / "convex" / f"{_key(mesh)}.obj"
 
 
 def _key(mesh: Mesh) -> str:

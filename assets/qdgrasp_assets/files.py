@@ -1,10 +1,11 @@
-"""Where assets lie: the folders of the asset path, and the cache."""
+"""Where assets lie: the folders of the asset path, what was fetched, and the cache."""
 
 import os
 from pathlib import Path
 
 ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
+DATA = "QDGRASP_DATA"
 
 
 def asset_folders() -> tuple[Path, ...]:
@@ -25,7 +26,16 @@ def searched() -> str:
 
 def cache_folder() -> Path:
     """The folder of derived data, which may be deleted at any time: `QDGRASP_CACHE`, else XDG's."""
-    own = os.environ.get(CACHE)
+    return _own_folder(CACHE, "XDG_CACHE_HOME", "~/.cache")
+
+
+def data_folder() -> Path:
+    """The folder of what was fetched: `QDGRASP_DATA`, else XDG's."""
+    return _own_folder(DATA, "XDG_DATA_HOME", "~/.local/share")
+
+
+def _own_folder(variable: str, xdg: str, default: str) -> Path:
+    own = os.environ.get(variable)
     if own:
         return Path(own).expanduser()
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "qdgrasp"
+    return Path(os.environ.get(xdg) or default).expanduser() / "qdgrasp"

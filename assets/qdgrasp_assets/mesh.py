@@ -133,6 +133,21 @@ def read_solid(path: Path) -> Mesh:
     return mesh
 
 
+def read_mesh(path: Path) -> Mesh:
+    """The triangles of any mesh file that trimesh reads, coincident vertices merged, nothing else checked.
+
+    Raises
+    ------
+    AssetError
+        It is not there, unreadable or empty.
+    """
+    read = _read(path)
+    mesh = Mesh(np.asarray(read.vertices, dtype=np.float64), np.asarray(read.faces, dtype=np.int64))
+    if not len(mesh.faces):
+        raise AssetError(f"The mesh '{path}' is empty: it has no triangles.")
+    return mesh
+
+
 def _read(path: Path):  # type: ignore[no-untyped-def]  # trimesh has no types that mypy can use here
     """What trimesh makes of the file, duplicate vertices merged."""
     if not path.is_file():

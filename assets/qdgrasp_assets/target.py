@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qdgrasp_assets.convex import convex_parts, is_convex
+from qdgrasp_assets.convex import collision_parts
 from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj, read_solid
 from qdgrasp_assets.scene import SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
@@ -75,14 +75,15 @@ def read_target(path: Path, mass: float | None) -> Target:
     mesh = read_solid(path)
     if mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
+    collision_source, parts = collision_parts(mesh, path.name)
     return Target(
         name=path.stem,
         source=path.name,
         licence="not stated",
-        collision_source="own hull" if is_convex(mesh) else "coacd",
+        collision_source=collision_source,
         mass=mass,
         mesh=mesh,
-        parts=convex_parts(mesh, path.name),
+        parts=parts,
         com_in_mesh=mesh.centre_of_mass,
     )
 

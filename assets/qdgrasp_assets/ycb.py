@@ -1,4 +1,4 @@
-"""The scanned YCB objects of the reference data on the asset path."""
+"""The scanned YCB objects: of the reference data on the asset path, else as they were fetched."""
 
 import json
 from pathlib import Path
@@ -6,27 +6,16 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct, ValidationError, convert
 
+from qdgrasp_assets import scans
+from qdgrasp_assets.convex import collision_parts
 from qdgrasp_assets.files import on_asset_path, searched
 from qdgrasp_assets.mesh import read_parts, read_solid
+from qdgrasp_assets.objects.stand_ins import STAND_INS
 from qdgrasp_assets.target import Target
 from qdgrasp_protocol.errors import AssetError
 
 PREFIX = "ycb_"
-SCANS = tuple(
-    PREFIX + name
-    for name in (
-        "banana",
-        "bleach_cleanser",
-        "bowl",
-        "chips_can",
-        "cracker_box",
-        "mug",
-        "power_drill",
-        "rubiks_cube",
-        "spatula",
-        "tennis_ball",
-    )
-)
+SCANS = tuple(scans.SCANS)
 LICENCE = "CC BY 4.0 (YCB Object and Model Set, YCB Benchmarks)"
 
 
@@ -40,9 +29,11 @@ class Entry(Struct, frozen=True):
     """The mesh in whose frame inertial origin, collision parts and S_G are."""
 
 
-def is_there(name: str) -> bool:
-    """Whether the scan `name` of `SCANS` is on the asset path."""
-    return on_asset_path(f"objects/{name.removeprefix(PREFIX)}") is not None
+def source(name: str) -> str:
+    """Where the scan `name` of `SCANS` is: "asset path", "fetched" or "absent"."""
+    if _folder(name) is not None:
+        return "asset path"
+    return "fetched" if scans.fetched_mesh(name).is_file() else "absent"
 
 
 def read_scan(name: str, protocol: str) -> Target:
@@ -53,14 +44,29 @@ def read_scan(name: str, protocol: str) -> Target:
     Raises
     ------
     AssetError
-        The reference data is not there, or broken.
+        The scan is not there or broken, or `released` needs what a fetched one does not have.
     """
-    folder = on_asset_path(f"objects/{name.removeprefix(PREFIX)}")
-    if folder is None:
+    folder = _folder(name)
+    if folder is not None:
+        return _of_reference(name, folder, protocol)
+    if not scans.fetched_mesh(name).is_file():
         raise AssetError(
             f"The object '{name}' is a scan of the reference data (objects/{name.removeprefix(PREFIX)}), "
-            f"which is not there: {searched()}."
+            f"which is not there: {searched()}; `qdgrasp asset fetch {name}` fetches it from the YCB set."
         )
+    if protocol == "released":
+        raise AssetError(
+            "The protocol 'released' needs the collision hulls of the reference data, which the fetched scan "
+            f"'{name}' does not have: {searched()}; use the protocol 'paper'."
+        )
+    return _of_fetched(name)
+
+
+def _folder(name: str) -> Path | None:
+    return on_asset_path(f"objects/{name.removeprefix(PREFIX)}")
+
+
+def _of_reference(name: str, folder: Path, protocol: str) -> Target:
     entry = _entry(folder)
     return Target(
         name=name,
@@ -71,6 +77,23 @@ def read_scan(name: str, protocol: str) -> Target:
         mesh=read_solid(folder / entry.paper_visual_here),
         parts=read_parts(folder / "collision_vhacd.obj"),
         com_in_mesh=np.array(entry.inertial_origin_xyz),
+    )
+
+
+def _of_fetched(name: str) -> Target:
+    """Mass and CoM are those of the stand-in, which has the scan's."""
+    same = STAND_INS[name.removeprefix(PREFIX)]
+    mesh = scans.read_fetched(name)
+    collision_source, parts = collision_parts(mesh, name)
+    return Target(
+        name=name,
+        source="fetched",
+        licence=LICENCE,
+        collision_source=collision_source,
+        mass=same.mass,
+        mesh=mesh,
+        parts=parts,
+        com_in_mesh=np.array(same.com),
     )
 
 

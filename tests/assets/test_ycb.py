@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from qdgrasp_assets.surface import sample
-from qdgrasp_assets.ycb import SCANS, is_there, read_scan
+from qdgrasp_assets.ycb import SCANS, read_scan, source
 from qdgrasp_protocol.errors import AssetError
 
 
@@ -45,7 +45,7 @@ def test_the_centre_of_mass_is_the_tabled_inertial_origin(asset_path):
 
 def test_a_scan_that_is_not_there_says_what_it_is_and_where_it_was_looked_for(monkeypatch, tmp_path):
     monkeypatch.setenv("QDGRASP_ASSET_PATH", f"{tmp_path}/a:{tmp_path}/b")
-    assert not is_there("ycb_mug")
+    assert source("ycb_mug") == "absent"
     with pytest.raises(AssetError, match=rf"'ycb_mug' is a scan .*QDGRASP_ASSET_PATH is '{tmp_path}/a:"):
         read_scan("ycb_mug", "paper")
 

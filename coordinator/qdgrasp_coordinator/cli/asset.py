@@ -1,0 +1,107 @@
+"""`qdgrasp asset`: what grippers and objects there are, fetching scans, and checking assets."""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+from qdgrasp_assets import catalog, ycb
+from qdgrasp_assets.check import Report
+from qdgrasp_assets.check import check as check_asset
+from qdgrasp_assets.fetch import HOME, TERMS
+from qdgrasp_assets.fetch import fetch as fetch_scan
+from qdgrasp_coordinator.cli import options
+from qdgrasp_protocol.errors import AssetError
+
+app = typer.Typer(no_args_is_help=True, help="Grippers and objects: list, fetch and check them.")
+
+
+@app.command("list")
+def list_assets(as_json: options.Json = False) -> None:
+    """Name every gripper and object, where it is and under which licence; needs no network.
+
+    Example: qdgrasp asset list --json
+    """
+    tables = {"grippers": catalog.every_gripper(), "objects": catalog.every_object()}
+    if as_json:
+        typer.echo(json.dumps({kind: [asdict(entry) for entry in table] for kind, table in tables.items()}))
+        return
+    for kind, table in tables.items():
+        typer.echo(kind)
+        for entry in table:
+            typer.echo(f"  {entry.name:<20} {entry.source:<11} {entry.licence}")
+
+
+@app.command()
+def fetch(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAMES]...", help="Scans, ycb_<name>; default: all absent.")
+    ] = None,
+    home: Annotated[
+        str, typer.Option("--from", envvar="QDGRASP_YCB_URL", help="Address of the YCB set or of a mirror.")
+    ] = HOME,
+) -> None:
+    """Fetch scans of the YCB Object and Model Set (CC BY 4.0) and check them; repeat it to go on.
+
+    Example: qdgrasp asset fetch ycb_mug ycb_bowl
+    """
+    wanted = names or [name for name in ycb.SCANS if ycb.source(name) == catalog.ABSENT]
+    typer.echo(TERMS, err=True)
+    with _progress() as bars:
+        for name in wanted:
+            fetched = fetch_scan(name, home, _bar(bars, name))
+            typer.echo(fetched.sentence)
+    if not wanted:
+        typer.echo("Every scan is there already; name one to fetch it again.")
+
+
+@app.command()
+def check(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME|FILE]...", help="Of the catalog, a mesh or a gripper's TOML; default: all here."
+        ),
+    ] = None,
+) -> None:
+    """Say what assets are and what is wrong with them.
+
+    Example: qdgrasp asset check ycb_mug part.stl my_hand.toml
+    """
+    reports = [check_asset(name) for name in names or (*catalog.gripper_names(), *catalog.object_names())]
+    for report in reports:
+        for line in _lines(report):
+            typer.echo(line)
+    wrong = [report.name for report in reports if report.faults]
+    if wrong:
+        raise AssetError(
+            f"{len(wrong)} of {len(reports)} assets cannot be used as they are: {', '.join(wrong)}."
+        )
+
+
+def _lines(report: Report) -> Iterable[str]:
+    if report.facts or not report.faults:
+        yield f"{'WRONG' if report.faults else 'ok':<5} {report.name}: {', '.join(report.facts)}"
+    for fault in report.faults:
+        yield f"WRONG {report.name}: {fault}"
+
+
+def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:
+    """A new bar, and how it is moved: by the bytes that are there and those that there will be."""
+    bar = bars.add_task(name, total=None)
+    return lambda here, total: bars.update(bar, completed=here, total=total)
+
+
+def _progress() -> Progress:
+    """Bars on standard error."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
