@@ -42,8 +42,10 @@ def read_reference(path: Path, name: str) -> ReferenceSet:
 
     Raises
     ------
+    InputError
+        There is no such file, or it is no npz file of plain arrays.
     AssetError
-        There is no such file, or it is not a reference set.
+        It is not a reference set.
     UnknownName
         The file has no set for this object; those it has are named.
     """

@@ -36,7 +36,7 @@ def test_an_object_that_the_set_lacks_is_refused_and_those_it_has_are_named(tmp_
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match=r"no\.npz.*No such file"):
+    with pytest.raises(InputError, match=r"No reference set can be read at .*no\.npz.*No such file"):
         read_reference(tmp_path / "no.npz", "mug")
 
 
@@ -46,20 +46,20 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_what_is_not_an_npz_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "set.npz"
     path.write_bytes(content)
-    with pytest.raises(AssetError, match=r"is not a reference set: expected an .npz file"):
+    with pytest.raises(InputError, match=r"is not an npz file of plain arrays"):
         read_reference(path, "mug")
 
 
 def test_one_array_in_npy_form_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "set.npy"
     np.save(path, CM)
-    with pytest.raises(AssetError, match=r"is not a reference set"):
+    with pytest.raises(InputError, match=r"is not an npz file of plain arrays"):
         read_reference(path, "mug")
 
 
 def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
     path = written(tmp_path / "set.npz", mug__cm=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(AssetError, match=r"is not a reference set"):
+    with pytest.raises(InputError, match=r"is not an npz file of plain arrays"):
         read_reference(path, "mug")
 
 
