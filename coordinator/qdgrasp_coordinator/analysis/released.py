@@ -23,7 +23,7 @@ BIN = 0.01
 """The bins are this wide or a little wider [m]."""
 HAND_EXTENT = {"panda_2f": 0.2084, "robotiq_2f": 0.1681, "bh280": 0.3393, "allegro": 0.2498, "shadow": 0.5415}
 """The largest extent of each reference hand's bounding box, which that code adds to the object's [m]."""
-SAME_HAND = {"panda": "panda_2f"}
+SAME_HAND = {"panda": "panda_2f", "barrett": "bh280"}
 """Models of our own, by the reference hand that they stand for."""
 
 

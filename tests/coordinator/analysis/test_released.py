@@ -72,4 +72,5 @@ def test_the_share_of_the_set_outside_the_cube_is_that_of_the_released_code(
 
 def test_a_hand_that_the_released_code_lacks_has_no_archive(make_scene: Callable[..., Scene]) -> None:
     assert released_archive(make_scene("hand_of_mine")) is None
-    assert released_archive(make_scene("panda")) is not None
+    for own in ("panda", "barrett", "allegro", "shadow", "robotiq_2f"):
+        assert released_archive(make_scene(own)) is not None
