@@ -17,22 +17,22 @@ RUN = "run"
 
 
 def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
-    """The spec that values stand for, complete: files as absolute paths, overlaps as the method has them.
+    """The spec that values stand for, complete: files as absolute paths, the rest as the method has it.
 
     Raises
     ------
     InputError
-        A key, value or name that cannot be; the ones that can are named.
+        A key, value or name that cannot be, or not with this method; what can is named.
     """
-    spec = run_spec(values, where)
-    chosen = method(spec.method)
-    whole = dict(values)
-    whole.setdefault("overlaps", chosen.overlaps)
+    chosen = method(run_spec(values, where).method)
+    whole = {"overlaps": chosen.overlaps, "population": chosen.population, **values}
     for name in ("gripper", "object"):
         path = Path(values[name]).expanduser()
         if path.suffix and path.is_file():
             whole[name] = str(path.resolve())
-    return run_spec(whole, where)
+    spec = run_spec(whole, where)
+    chosen.check(spec)
+    return spec
 
 
 def default_name(spec: RunSpec) -> str:
@@ -41,8 +41,15 @@ def default_name(spec: RunSpec) -> str:
 
 
 def make_bundle(spec: RunSpec) -> tuple[Scene, Bundle]:
-    """The scene of a spec, and its bytes."""
+    """The scene of a spec, and its bytes.
+
+    Raises
+    ------
+    InputError
+        It cannot be built, or the method's prior is not for such a hand.
+    """
     scene = build_scene(spec)
+    scene_shape(scene, method(spec.method).prior)
     return scene, pack_scene(scene)
 
 

@@ -7,9 +7,10 @@ and rows; it does not know what the genes mean.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from qdgrasp_coordinator.archive import Box
+from qdgrasp_coordinator.searches import cma_mae
 from qdgrasp_coordinator.searches.map_elites import MapElites, select_successes, select_uniform
 from qdgrasp_coordinator.searches.random import RandomSearch
 from qdgrasp_protocol.errors import UnknownName
@@ -38,6 +39,10 @@ Build = Callable[[RunSpec, int, Box], Search]
 """Makes a search from a spec, the number of genes, and the box of hand positions."""
 
 
+Check = Callable[[RunSpec], None]
+"""Raises an `InputError` where a spec asks what the search cannot do."""
+
+
 @dataclass(frozen=True)
 class Method:
     """One line of the table."""
@@ -46,9 +51,46 @@ class Method:
     prior: str
     """The prior that decodes its genomes."""
     build: Build
+    check: Check
     overlaps: Overlaps
     """Whether overlaps count as evaluations unless the spec says otherwise."""
+    population: int
+    """Genomes in a generation unless the spec says otherwise."""
     summary: str
+
+
+@dataclass(frozen=True)
+class Family:
+    """Methods that search alike and differ in their prior."""
+
+    name: str
+    build: Build
+    summary: str
+    population: int = 500
+    """The paper's mu = lambda."""
+    check: Check = lambda _: None
+    priors: tuple[str, ...] = ("contact", "approach", "antipodal", "spherical")
+
+    def method(self, prior: str) -> Method:
+        """The line of the table with one prior."""
+        summary = f"{self.summary}, {PRIORS[prior].words} (Huber et al. 2024)."
+        name = PRIORS[prior].prefix + self.name
+        return Method(name, prior, self.build, self.check, "count", self.population, summary)
+
+
+class Named(NamedTuple):
+    """How a prior appears in the table."""
+
+    prefix: str
+    words: str
+
+
+PRIORS = {
+    "contact": Named("contact_", "any angle to the surface"),
+    "approach": Named("approach_", "at most 45 deg from the surface's normal"),
+    "antipodal": Named("antipodal_", "two fingers on opposite points"),
+    "spherical": Named("", "without a prior"),
+}
 
 
 def _random(spec: RunSpec, genes: int, box: Box) -> Search:  # noqa: ARG001 - one signature for all
@@ -63,44 +105,22 @@ def _me_scs(spec: RunSpec, genes: int, box: Box) -> Search:
     return MapElites(spec, genes, box, select_successes)
 
 
-_TABLE = (
-    Method(
-        "contact_rand",
-        "contact",
-        _random,
-        "count",
-        "Uniform genomes, any angle to the surface (Huber et al. 2024, section IV).",
-    ),
-    Method(
-        "approach_rand",
-        "approach",
-        _random,
-        "count",
-        "Uniform genomes, at most 45 deg from the normal (Huber et al. 2024, section IV).",
-    ),
-    Method(
-        "contact_me_rand",
-        "contact",
-        _me_rand,
-        "count",
-        "MAP-Elites, parents uniform over the archive (Huber et al. 2024, section III-C).",
-    ),
-    Method(
-        "contact_me_scs",
-        "contact",
-        _me_scs,
-        "count",
-        "MAP-Elites, successful elites first (Huber et al. 2024, section III-C; Huber et al. 2023).",
-    ),
-    Method(
-        "approach_me_scs",
-        "approach",
-        _me_scs,
-        "count",
-        "MAP-Elites, successful elites first, at most 45 deg from the normal (Huber et al. 2024).",
+FAMILIES = (
+    Family("rand", _random, "Uniform genomes", priors=("contact", "approach", "antipodal")),
+    Family("me_rand", _me_rand, "MAP-Elites, parents uniform over the archive"),
+    Family("me_scs", _me_scs, "MAP-Elites, successful elites first"),
+    Family(
+        "cma_mae",
+        cma_mae.CmaMae,
+        "CMA-MAE, 15 evolution strategies",
+        population=cma_mae.POPULATION,
+        check=cma_mae.check,
     ),
 )
-METHODS = {entry.name: entry for entry in _TABLE}
+"""The methods that Huber et al. 2024, section IV, compares; those without a prefix have no prior."""
+METHODS = {
+    entry.name: entry for entry in (family.method(prior) for family in FAMILIES for prior in family.priors)
+}
 
 
 def method(name: str) -> Method:

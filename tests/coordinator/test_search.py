@@ -18,10 +18,13 @@ GENES = 7
 SHAPE = Shape(genes=GENES, joints=2)
 BOX = (np.full(3, -0.2), np.full(3, 0.2))
 GENERATIONS = 6
+POPULATION = 60
+OVER_THE_CUBE = [entry for entry in METHODS.values() if not entry.name.endswith("cma_mae")]
+"""The methods that start with genomes drawn uniformly."""
 
 
 def spec(seed: int = 0) -> RunSpec:
-    return RunSpec(gripper="hand", object="thing", seed=seed, population=40)
+    return RunSpec(gripper="hand", object="thing", seed=seed, population=POPULATION)
 
 
 def evaluated(generation: int, genomes: np.ndarray) -> Rows:
@@ -53,7 +56,7 @@ class TestEverySearch:
 
     def test_a_generation_has_the_population_in_float32_within_the_cube(self, build) -> None:
         for genomes in asked(build()):
-            assert genomes.shape == (40, GENES)
+            assert genomes.shape == (POPULATION, GENES)
             assert genomes.dtype == np.float32
             assert np.abs(genomes).max() <= 1
 
@@ -67,11 +70,6 @@ class TestEverySearch:
         genomes = [one.tobytes() for one in asked(build())]
         assert len(set(genomes)) == GENERATIONS
 
-    def test_it_starts_uniform_over_the_cube(self, build) -> None:
-        many = np.concatenate([build(seed).ask(0) for seed in range(50)])
-        assert np.abs(many.mean(axis=0)).max() < 0.06
-        assert np.abs(many.std(axis=0) - 1 / np.sqrt(3)).max() < 0.03
-
     def test_it_keeps_no_hold_on_the_rows_it_is_told(self, build) -> None:
         one, other = build(), build()
         for generation in range(3):
@@ -84,14 +82,27 @@ class TestEverySearch:
     def test_the_order_of_arrival_changes_nothing(self, build, entry: Method) -> None:
         journals = []
         for order in (np.sort, lambda values: values[::-1], np.random.default_rng(0).permutation):
-            pipeline = Pipeline(build(), SHAPE, 5 * 40 + 13, entry.overlaps)
+            pipeline = Pipeline(build(), SHAPE, 5 * POPULATION + 13, entry.overlaps)
             journals.append(b"".join(_journal(pipeline, order)))
         assert journals[0] == journals[1] == journals[2]
 
+    @pytest.mark.parametrize("recorded", [1, POPULATION, 3 * POPULATION + 7])
+    def test_a_recorded_beginning_goes_on_to_the_same_journal(
+        self, build, entry: Method, recorded: int
+    ) -> None:
+        budget = 5 * POPULATION + 13
+        whole = b"".join(_journal(Pipeline(build(), SHAPE, budget, entry.overlaps), np.sort))
+        rows = np.frombuffer(whole, dtype=SHAPE.dtype)
+        pipeline = Pipeline(build(), SHAPE, budget, entry.overlaps)
+        pipeline.replay(rows[:recorded])
+        assert b"".join(_journal(pipeline, np.sort)) == rows[recorded:].tobytes()
+
     def test_its_line_in_the_table_is_complete(self, entry: Method) -> None:
-        assert entry.name.startswith(entry.prior)
+        assert entry.name.startswith(f"{entry.prior}_") or entry.prior == "spherical"
         assert "Huber" in entry.summary
         assert entry.overlaps == "count"
+        assert entry.population == (540 if entry.name.endswith("cma_mae") else 500)
+        entry.check(RunSpec(gripper="hand", object="thing", method=entry.name, population=entry.population))
 
 
 def _journal(pipeline: Pipeline, order: Callable[[np.ndarray], np.ndarray]):
@@ -107,14 +118,17 @@ def _rows(generation: Generation) -> Rows:
     return rows
 
 
+@pytest.mark.parametrize("entry", OVER_THE_CUBE, ids=lambda entry: entry.name)
+def test_it_starts_uniform_over_the_cube(entry: Method) -> None:
+    many = np.concatenate([entry.build(spec(seed), GENES, BOX).ask(0) for seed in range(40)])
+    assert np.abs(many.mean(axis=0)).max() < 0.06
+    assert np.abs(many.std(axis=0) - 1 / np.sqrt(3)).max() < 0.03
+
+
 def test_the_methods_of_the_paper_are_there() -> None:
-    assert set(METHODS) == {
-        "contact_rand",
-        "approach_rand",
-        "contact_me_rand",
-        "contact_me_scs",
-        "approach_me_scs",
-    }
+    priors = ("contact_", "approach_", "antipodal_")
+    everywhere = {f"{prior}{name}" for prior in (*priors, "") for name in ("me_rand", "me_scs", "cma_mae")}
+    assert set(METHODS) == everywhere | {f"{prior}rand" for prior in priors}
     assert all(name == entry.name for name, entry in METHODS.items())
 
 

@@ -30,6 +30,9 @@ def sentence(done) -> str:
         (("--protocol", "strict"), ["protocol", "strict", "paper", "released"]),
         (("--evaluations", "-5"), ["evaluations", "-5", "at least 1"]),
         (("--population", "0"), ["population", "at least 1"]),
+        (("--method", "cma_mae", "--population", "500"), ["population", "15", "cma_mae", "500"]),
+        (("--method", "me_cma", "--generations-in-flight", "2"), ["method", "me_cma", "cma_mae"]),
+        (("--method", "cma_mae", "--generations-in-flight", "2"), ["generations_in_flight", "cma_mae", "2"]),
         (("--object", "nowhere/part.stl", "--mass", "1"), ["nowhere/part.stl"]),
     ],
 )
@@ -101,6 +104,14 @@ def test_a_gripper_with_a_joint_that_is_not_there_is_refused(qdgrasp):
     hand = own_hand(qdgrasp.home)
     hand.write_text(hand.read_text().replace("panda_finger_joint2", "panda_finger_joint9"))
     assert "panda_finger_joint9" in sentence(qdgrasp("run", "--gripper", hand, "--object", "mug"))
+
+
+def test_a_hand_without_a_jaw_is_refused_by_antipodal_methods(qdgrasp):
+    hand = own_hand(qdgrasp.home)
+    hand.write_text(hand.read_text().replace("[jaw]\naxis = [0, 1, 0]\nopening = 0.08\n", ""))
+    said = sentence(qdgrasp(*RUN, "--gripper", hand, "--method", "antipodal_rand"))
+    assert "two-finger" in said
+    assert not (qdgrasp.home / "out").exists()
 
 
 def test_a_urdf_whose_mesh_is_missing_is_refused(qdgrasp):

@@ -4,7 +4,7 @@ import logging
 
 import typer
 
-from qdgrasp_coordinator.cli import asset, coverage, digest, doctor, evaluate, info, resume, run
+from qdgrasp_coordinator.cli import asset, coverage, digest, doctor, evaluate, info, methods, resume, run
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.logs import speak
 
@@ -17,6 +17,7 @@ app = typer.Typer(
 )
 for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evaluate, coverage.coverage):
     app.command()(command)
+app.command()(methods.methods)
 app.command()(doctor.doctor)
 app.add_typer(asset.app, name="asset")
 

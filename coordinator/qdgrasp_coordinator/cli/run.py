@@ -32,7 +32,10 @@ def run(
     overlaps: Annotated[
         str | None, typer.Option(help="count: an overlapping pose is an evaluation; redraw: it is not.")
     ] = None,
-    population: Annotated[int | None, typer.Option(help="Genomes in a generation; default 500.")] = None,
+    population: Annotated[
+        int | None,
+        typer.Option(help="Genomes in a generation; default: the method's, see `qdgrasp methods`."),
+    ] = None,
     mutation_sigma: Annotated[
         float | None, typer.Option(help="Of the Gaussian mutation; default 0.1.")
     ] = None,

@@ -1,0 +1,24 @@
+"""`qdgrasp methods`."""
+
+import json
+
+from typer.testing import CliRunner
+
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.search import METHODS
+
+
+def test_every_method_has_a_line() -> None:
+    done = CliRunner().invoke(app, ["methods"])
+    assert done.exit_code == 0
+    head, *lines = done.stdout.splitlines()
+    assert head.split() == ["name", "prior", "overlaps", "population", "summary"]
+    assert [line.split()[0] for line in lines] == list(METHODS)
+
+
+def test_machines_get_the_same_table() -> None:
+    table = json.loads(CliRunner().invoke(app, ["methods", "--json"]).stdout)
+    assert {entry["name"]: entry["prior"] for entry in table} == {
+        name: entry.prior for name, entry in METHODS.items()
+    }
+    assert next(entry for entry in table if entry["name"] == "cma_mae")["population"] == 540
