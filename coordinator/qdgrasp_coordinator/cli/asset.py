@@ -51,10 +51,10 @@ def fetch(
     """
     wanted = names or [name for name in ycb.SCANS if ycb.source(name) == catalog.ABSENT]
     typer.echo(TERMS, err=True)
-    with _progress() as bars:
-        for name in wanted:
+    for name in wanted:
+        with _progress() as bars:
             fetched = fetch_scan(name, home, _bar(bars, name))
-            typer.echo(fetched.sentence)
+        typer.echo(fetched.sentence)
     if not wanted:
         typer.echo("Every scan is there already; name one to fetch it again.")
 
