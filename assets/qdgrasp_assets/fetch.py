@@ -12,7 +12,7 @@ from qdgrasp_assets.lock import Pin, keep, pin, users_lock, write_whole
 from qdgrasp_assets.mesh import read_mesh
 from qdgrasp_assets.scans import SCANS, Scan, differences, fetched_mesh, put_right
 from qdgrasp_assets.solidity import faults
-from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.errors import AssetError, UnknownName, WrongScan
 
 HOME = "https://ycb-benchmarks.s3.amazonaws.com"
 """The public bucket of the YCB Object and Model Set."""
@@ -62,17 +62,22 @@ def fetch(name: str, home: str, progress: Progress, patience: float = PATIENCE) 
     ------
     UnknownName
         There is no such scan.
+    WrongScan
+        It was fetched and is not what it must be.
     AssetError
-        It cannot be fetched or written, or is not what it must be.
+        It cannot be fetched or written.
     """
     if name not in SCANS:
         raise UnknownName("scan", name, SCANS, "Other objects are built in or mesh files of your own.")
     scan = SCANS[name]
+    known = pin(scan.archive)
     archive = data_folder() / "downloads" / Path(scan.archive).name
     try:
         download(f"{home.rstrip('/')}/{scan.archive}", archive, progress, patience)
         try:
-            return _accept(name, scan, archive)
+            return _accept(name, scan, archive, known)
+        except AssetError as error:
+            raise WrongScan(name, error) from None
         finally:
             archive.unlink()
     except OSError as error:
@@ -82,15 +87,14 @@ def fetch(name: str, home: str, progress: Progress, patience: float = PATIENCE) 
         ) from None
 
 
-def _accept(name: str, scan: Scan, archive: Path) -> Fetched:
+def _accept(name: str, scan: Scan, archive: Path, known: Pin) -> Fetched:
     """Check hash and geometry, then put the mesh where it is found; the hash of what is new is kept first."""
-    known = pin(scan.archive)
     found = Pin(size=archive.stat().st_size, sha256=_sha256(archive))
-    _check_hash(known, found, name)
+    _check_hash(known, found)
     content = read_member(archive, scan.member)
     found = Pin(found.size, found.sha256, hashlib.sha256(content).hexdigest())
-    _check_hash(known, found, name)
-    _check_geometry(name, scan, content)
+    _check_hash(known, found)
+    _check_geometry(scan, content)
     lock = keep(scan.archive, found) if known.sha256 is None else None
     mesh = fetched_mesh(name)
     mesh.parent.mkdir(parents=True, exist_ok=True)
@@ -99,23 +103,21 @@ def _accept(name: str, scan: Scan, archive: Path) -> Fetched:
     return Fetched(name, mesh, found, lock)
 
 
-def _check_hash(known: Pin, found: Pin, name: str) -> None:
+def _check_hash(known: Pin, found: Pin) -> None:
     if differs := known.difference(found):
         raise AssetError(
-            f"What was fetched for '{name}' is not the archive that is known: {differs}. It was thrown away; "
-            f"fetch again, and if the set itself has changed, remove its table from {users_lock()}."
+            f"it is not the archive that is known: {differs}; fetch it again, and if the set itself has "
+            f"changed, remove its table from {users_lock()}."
         )
 
 
-def _check_geometry(name: str, scan: Scan, content: bytes) -> None:
+def _check_geometry(scan: Scan, content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / Path(scan.member).name
         file.write_bytes(content)
         mesh = put_right(read_mesh(file), scan)
     if wrong := differences(mesh, scan) or faults(mesh):
-        raise AssetError(
-            f"What was fetched for '{name}' is not that scan: {'; '.join(wrong)}. It was thrown away."
-        )
+        raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
 
 
 def _sha256(file: Path) -> str:

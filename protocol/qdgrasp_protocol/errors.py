@@ -6,6 +6,7 @@
         * UnknownKey             a key that no field of a spec has
         * ImpossibleValue        a value outside what a field allows
         * AssetError             a file, mesh, URDF or gripper that cannot be used
+            * WrongScan          what was fetched is not what it must be
         * FolderError            a run folder that cannot be used
             * DiskFull               there is no room to write in it
         * ReplayError            a journal that its own spec does not replay to
@@ -78,6 +79,13 @@ class ImpossibleValue(InputError):
 
 class AssetError(InputError):
     """A file, mesh, URDF or gripper that cannot be used."""
+
+
+class WrongScan(AssetError):
+    """What was fetched is not what it must be; it was thrown away."""
+
+    def __init__(self, name: str, reason: object) -> None:
+        super().__init__(f"What was fetched for '{name}' was thrown away: {reason}")
 
 
 class FolderError(InputError):

@@ -15,7 +15,7 @@ from qdgrasp_assets.check import check as check_asset
 from qdgrasp_assets.fetch import HOME, TERMS
 from qdgrasp_assets.fetch import fetch as fetch_scan
 from qdgrasp_coordinator.cli import options
-from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.errors import AssetError, WrongScan
 
 app = typer.Typer(no_args_is_help=True, help="Grippers and objects: list, fetch and check them.")
 
@@ -51,10 +51,16 @@ def fetch(
     """
     wanted = names or [name for name in ycb.SCANS if ycb.source(name) == catalog.ABSENT]
     typer.echo(TERMS, err=True)
+    refused = []
     for name in wanted:
-        with _progress() as bars:
-            fetched = fetch_scan(name, home, _bar(bars, name))
-        typer.echo(fetched.sentence)
+        try:
+            with _progress() as bars:
+                fetched = fetch_scan(name, home, _bar(bars, name))
+            typer.echo(fetched.sentence)
+        except WrongScan as error:
+            refused.append(str(error))
+    if refused:
+        raise AssetError(" ".join(refused))
     if not wanted:
         typer.echo("Every scan is there already; name one to fetch it again.")
 
