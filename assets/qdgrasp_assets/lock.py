@@ -83,7 +83,7 @@ def write_whole(path: Path, content: bytes) -> None:
 def _read(path: Path) -> dict[str, Pin]:
     try:
         return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), dict[str, Pin])
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return {}
     except (OSError, ValueError) as error:
         raise AssetError(f"The lock file '{path}' cannot be read: {error}; mend or remove it.") from None
