@@ -2,6 +2,12 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile(
+    "shared", deadline=None
+)  # machines are shared: how long an example takes says nothing
+settings.load_profile("shared")
 
 SIBLING = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
