@@ -17,7 +17,7 @@ class Batch:
     """Rows of one generation of one run that are leased together."""
 
     id: bytes
-    """16 bytes, never used again: epoch and counter."""
+    """16 bytes: epoch and counter, not used again in the job."""
     run: str
     scene: str
     """The scene bundle's sha256."""

@@ -43,7 +43,7 @@ class Keys:
         return f"{self.root}/@result/{wid}"
 
     def ctl(self, wid: str) -> str:
-        """Coordinator to worker: cancel, drain."""
+        """Coordinator to worker: batches to drop."""
         return f"{self.root}/@ctl/{wid}"
 
     @property
@@ -89,15 +89,6 @@ class Keys:
     def stat(self, what: str) -> str:
         """To monitors: `job`, `run/<run>` or `worker/<wid>`, JSON, about once a second."""
         return f"{self.root}/stat/{what}"
-
-    def event(self, kind: str) -> str:
-        """To monitors: something happened, JSON."""
-        return f"{self.root}/event/{kind}"
-
-    @property
-    def meta(self) -> str:
-        """To monitors: what this job is, JSON."""
-        return f"{self.root}/meta"
 
 
 class AnyJob(Keys):

@@ -107,11 +107,10 @@ class Joined(Message, frozen=True, kw_only=True):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """Coordinator to worker: drop a batch, or leave."""
+    """Coordinator to worker: drop batches that another worker has settled."""
 
     epoch: Count
     drop: list[BatchId] = []
-    drain: bool = False
 
 
 class Chunk(Message, frozen=True, kw_only=True):

@@ -24,8 +24,6 @@ def built(keys: Keys) -> list[str]:
         keys.worker_token(WID),
         keys.recorder_token("r"),
         keys.stat("run/run"),
-        keys.event("worker"),
-        keys.meta,
     ]
 
 
@@ -68,4 +66,4 @@ def test_patterns_hear_what_they_are_made_for() -> None:
 def test_a_subscriber_to_everything_hears_none_of_the_bulk() -> None:
     heard = [key for key in built(Keys("mugs")) if matches("qdgrasp/**", key)]
     assert heard == [key for key in built(Keys("mugs")) if "/@" not in key]
-    assert len(heard) == 9
+    assert len(heard) == 7
