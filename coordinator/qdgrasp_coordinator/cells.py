@@ -4,9 +4,12 @@ S_G, the paper's reference set, holds positions rounded to 1 cm. Everything that
 by cell (archive, coverage, progress, `info`) makes its cells here, so that all of them agree.
 """
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Number = TypeVar("Number", bound=np.number)
 PER_METRE = 100
 """Cells in a metre: an edge is 1 cm, cell k reaches from k - 0.5 to k + 0.5 cm."""
 _REACH = 1 << 20
@@ -34,3 +37,12 @@ def keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     shifted = cells + _REACH
     packed: NDArray[np.int64] = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
     return packed
+
+
+def best(cells: NDArray[np.int64], values: NDArray[Number]) -> tuple[NDArray[np.int64], NDArray[Number]]:
+    """The greatest of `values` (n,) in each distinct one of `cells` (n, 3), cells in lexicographic order."""
+    _, first, place = np.unique(keys(cells), return_index=True, return_inverse=True)
+    order = np.argsort(values, kind="stable")
+    greatest = np.zeros(len(first), dtype=values.dtype)
+    greatest[place[order]] = values[order]  # of several, the last stays
+    return cells[first], greatest

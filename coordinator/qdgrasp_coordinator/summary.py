@@ -3,6 +3,7 @@
 import msgspec
 from msgspec import Struct
 
+from qdgrasp_coordinator.analysis.metrics import Lean, Metrics
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.tally import tally
 
@@ -34,6 +35,14 @@ class Summary(Struct, frozen=True, kw_only=True):
     """Fitness 2."""
     cells: int
     """Distinct 1 cm cells with a success."""
+    qd_score: float
+    """The best fitness in each of these cells, summed."""
+    success_share: float | None
+    """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
+    mean_fitness: float | None
+    """Of all successes; None without one."""
+    nu: Lean
+    """How successes lean from the surface normal."""
     errors: int
     cpu_seconds: float
     wall_seconds: float
@@ -59,6 +68,7 @@ class Summary(Struct, frozen=True, kw_only=True):
         """All figures, one to a line."""
         values = msgspec.structs.asdict(self)
         platform = values.pop("platform")
+        values["nu"] = self.nu.words
         lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
         lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
         return "\n".join(lines)
@@ -68,7 +78,8 @@ def summary(folder: RunFolder) -> Summary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        found = tally(spec, journal.blocks())
+        metrics = Metrics()
+        found = tally(spec, metrics.counting(journal.blocks()))
         return Summary(
             gripper=spec.gripper,
             object=spec.object,
@@ -86,6 +97,10 @@ def summary(folder: RunFolder) -> Summary:
             grasps=found.grasps,
             robust=found.robust,
             cells=found.cells,
+            qd_score=metrics.qd_score,
+            success_share=found.successes / found.evaluations if found.evaluations else None,
+            mean_fitness=metrics.mean_fitness,
+            nu=metrics.nu,
             errors=found.errors,
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,
@@ -98,4 +113,6 @@ def summary(folder: RunFolder) -> Summary:
 
 
 def _text(value: object) -> str:
-    return f"{value:.1f}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.1f}" if value >= 10 else f"{value:.3g}"
+    return "none" if value is None else str(value)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.cells import cells, keys
+from qdgrasp_coordinator.cells import best, cells, keys
 
 
 def test_a_cell_reaches_half_a_centimetre_to_both_sides() -> None:
@@ -35,3 +35,15 @@ def test_keys_are_equal_for_equal_cells_only() -> None:
 def test_keys_hold_for_far_cells(far: int) -> None:
     grid = np.array([[far, 0, 0], [0, far, 0], [0, 0, far], [0, 0, 0], [far, far, far]])
     assert len(np.unique(keys(grid))) == len(grid)
+
+
+def test_the_best_of_each_cell_is_its_greatest_value_and_cells_are_in_order() -> None:
+    random = np.random.default_rng(1)
+    found, values = random.integers(-3, 4, (500, 3)), random.integers(0, 3, 500)
+    distinct, greatest = best(found, values)
+    expected: dict[tuple[int, ...], int] = {}
+    for cell, value in zip(map(tuple, found.tolist()), values.tolist(), strict=True):
+        expected[cell] = max(value, expected.get(cell, 0))
+    assert [(tuple(cell), value) for cell, value in zip(distinct.tolist(), greatest, strict=True)] == sorted(
+        expected.items()
+    )

@@ -88,9 +88,13 @@ def test_commands_that_print_json_print_nothing_else(qdgrasp, reference):
     done = qdgrasp("info", reference[0], "--json")
     wanted = (
         "gripper object method protocol seed evaluations rows proposals overlaps successes grasps robust "
-        "cells errors cpu_seconds wall_seconds complete"
+        "cells qd_score success_share mean_fitness nu errors cpu_seconds wall_seconds complete"
     )
     assert set(wanted.split()) <= set(done.json)
+    assert done.json["success_share"] == done.json["successes"] / done.json["evaluations"]
+    assert done.json["grasps"] > 0
+    assert done.json["cells"] * 2 >= done.json["qd_score"] > 0
+    assert sum(done.json["nu"]["bins"]) == done.json["successes"]
     assert done.err == ""
 
 

@@ -1,0 +1,86 @@
+import math
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.analysis.metrics import BINS, Metrics
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+
+SHAPE = Shape(genes=2, joints=1)
+
+
+def rows(*outcomes: Outcome) -> Rows:
+    made = SHAPE.empty(len(outcomes))
+    made["outcome"] = outcomes
+    made["fitness"] = np.maximum(np.array(outcomes, np.float32) - Outcome.DROPPED, 0)
+    made["surface_point"] = 0.01
+    return made
+
+
+def counted(*blocks: Rows) -> Metrics:
+    metrics = Metrics()
+    for block in blocks:
+        metrics.count(block)
+    return metrics
+
+
+def random_rows(n: int) -> Rows:
+    random = np.random.default_rng(7)
+    made = rows(*(Outcome(value) for value in random.integers(0, 8, n)))
+    made["descriptor"] = random.uniform(-0.03, 0.03, (n, 3))
+    made["nu"] = random.uniform(0, math.pi, n)
+    return made
+
+
+def test_the_qd_score_takes_the_best_fitness_of_each_cell_once() -> None:
+    found = rows(Outcome.HELD, Outcome.SHAKEN, Outcome.SHAKEN, Outcome.DROPPED, Outcome.HELD)
+    found["descriptor"][:, 0] = [0.1, 0.101, 0.2, 0.3, 0.099]
+    assert counted(found).qd_score == 2 + 1 + 0
+    assert counted(found, found[::-1]).qd_score == 3
+
+
+def test_what_is_no_success_is_worth_nothing() -> None:
+    found = rows(Outcome.BRUSHED, Outcome.OVERLAP)
+    found["fitness"] = 2
+    metrics = counted(found, SHAPE.empty(0))
+    assert (metrics.qd_score, metrics.mean_fitness, metrics.nu.below_quarter_pi) == (0.0, None, None)
+    assert metrics.nu.bins == (0,) * BINS
+
+
+def test_randomised_trials_are_left_out() -> None:
+    found = rows(Outcome.SHAKEN, Outcome.HELD)
+    found["trial"] = [0, 1]
+    metrics = counted(found)
+    assert (metrics.successes, metrics.qd_score, metrics.mean_fitness) == (1, 1.0, 1.0)
+
+
+def test_the_mean_fitness_is_of_all_successes() -> None:
+    found = rows(Outcome.DROPPED, Outcome.HELD, Outcome.HELD, Outcome.SHAKEN, Outcome.MISSED)
+    assert counted(found).mean_fitness == 5 / 4
+
+
+def test_nu_from_0_to_pi_falls_into_18_bins_with_both_ends() -> None:
+    found = rows(*[Outcome.DROPPED] * 4)
+    found["nu"] = [0.0, math.pi, math.pi / 4 - 1e-3, math.pi / 4 + 1e-3]  # float32 pi is beyond pi
+    lean = counted(found).nu
+    assert (lean.bins[0], lean.bins[4], lean.bins[17], sum(lean.bins)) == (1, 2, 1, 4)
+    assert lean.below_quarter_pi == 0.5
+
+
+def test_successes_that_aim_at_no_surface_point_have_no_nu() -> None:
+    found = rows(Outcome.HELD, Outcome.HELD)
+    found["surface_point"][0] = 0
+    found["nu"] = [0, 2]
+    lean = counted(found).nu
+    assert (sum(lean.bins), lean.below_quarter_pi) == (1, 0.0)
+
+
+@pytest.mark.parametrize("size", [1, 7, 100])
+def test_blocks_of_any_length_add_up_to_the_same(size: int) -> None:
+    every = random_rows(400)
+    whole, parts = counted(every), Metrics()
+    passed = list(parts.counting(every[first : first + size] for first in range(0, 400, size)))
+    assert np.concatenate(passed).tobytes() == every.tobytes()
+    assert (parts.qd_score, parts.mean_fitness, parts.nu) == (whole.qd_score, whole.mean_fitness, whole.nu)
+    assert whole.qd_score > 50
