@@ -8,6 +8,7 @@ import msgspec
 import typer
 
 from qdgrasp_coordinator.analysis.coverage import coverage as coverage_of
+from qdgrasp_coordinator.analysis.harvest import identity
 from qdgrasp_coordinator.analysis.reference import is_stand_in, read_reference
 from qdgrasp_coordinator.analysis.released import released_archive
 from qdgrasp_coordinator.cli import options
@@ -31,11 +32,12 @@ def coverage(
         raise InputError(f"{'--reference' if reference is None else '--object'} is missing; see --help.")
     folder = RunFolder.open(directory)
     entries = read_reference(reference, object_)
-    stand_in = is_stand_in(folder.spec.object, object_)
+    scene = folder.scene()
+    stand_in = is_stand_in(folder.spec.object, identity(scene.object), entries)
     with folder.journal() as journal:
         successes = journal.successes()
     positions = successes["base_to_object"][:, :3]
-    found = coverage_of(positions, successes["fitness"], entries, released_archive(folder.scene()))
+    found = coverage_of(positions, successes["fitness"], entries, released_archive(scene))
     if as_json:
         values = {**msgspec.to_builtins(found), "object": object_, "stand_in": stand_in}
         typer.echo(json.dumps(values))

@@ -4,7 +4,18 @@ import logging
 
 import typer
 
-from qdgrasp_coordinator.cli import asset, coverage, digest, doctor, evaluate, info, methods, resume, run
+from qdgrasp_coordinator.cli import (
+    asset,
+    coverage,
+    digest,
+    doctor,
+    evaluate,
+    info,
+    methods,
+    reference,
+    resume,
+    run,
+)
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.logs import speak
 
@@ -20,6 +31,7 @@ for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evalu
 app.command()(methods.methods)
 app.command()(doctor.doctor)
 app.add_typer(asset.app, name="asset")
+app.add_typer(reference.app, name="reference")
 
 
 def main() -> None:

@@ -1,0 +1,165 @@
+"""Harvest: reference sets built from runs, as the paper built its own (Huber et al. 2024, section IV).
+
+A file holds the sets of one gripper, one for each object, and grows with every run that is added.
+"""
+
+import hashlib
+import io
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import SceneObject
+from qdgrasp_coordinator import disk, lock
+from qdgrasp_coordinator.analysis.reference import Origin, ReferenceSet, read_references
+from qdgrasp_coordinator.cells import best, cells
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_protocol.errors import AssetError, InputError
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
+
+Sets = dict[str, ReferenceSet]
+Reached = tuple[NDArray[np.int64], NDArray[np.uint8]]
+"""Cells (n, 3) and the fitness in each (n,)."""
+SCAN = "ycb_"
+
+
+def identity(body: SceneObject) -> str:
+    """The sha256 of an object's surface mesh and centre of mass: what positions on it depend on.
+
+    Mass, friction, convex parts, gripper and protocol are not part of it.
+    """
+    com = np.array(body.com_in_mesh, dtype="<f8").tobytes()
+    parts = (com, body.mesh_vertices, body.mesh_faces)
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
+
+
+def build(folders: Iterable[RunFolder], out: Path, name: str | None = None, *, mixed: bool = False) -> Sets:
+    """Add what runs found to the sets in a file, which is made where there is none.
+
+    A cell gets the best fitness found there. Adding a run again changes nothing. The file is replaced as a
+    whole at the end, or left as it was.
+
+    Parameters
+    ----------
+    name
+        The object's name in the file; None: that of each run's object, without `ycb_`.
+    mixed
+        Whether runs under different evaluation protocols may go into one set.
+
+    Returns
+    -------
+    sets
+        Those of the runs' objects, by name, as they are in the file now.
+
+    Raises
+    ------
+    AssetError
+        The file holds sets that do not say what they were built from.
+    InputError
+        Runs with another gripper, on another object or, unless `mixed`, under another protocol.
+    FolderError
+        A run cannot be read, the file cannot be written, or another process is adding to it.
+    """
+    _known(out)  # what cannot be added to is refused before anything is touched
+    gathered: Sets = {}
+    for folder in folders:
+        _add(gathered, harvested(folder, name), folder.path, mixed)
+    with lock.exclusive(out.absolute().parent, f".{out.name}.lock"):
+        sets = _known(out)
+        for found in gathered.values():
+            _add(sets, found, out, mixed)
+        _write(out, sets)
+    return {name: sets[name] for name in gathered}
+
+
+def harvested(folder: RunFolder, name: str | None = None) -> ReferenceSet:
+    """The set of a run: the cells of its successes with the best fitness in each."""
+    spec, scene = folder.spec, folder.scene()
+    key = name or scene.object.name.removeprefix(SCAN)
+    origin = Origin(scene.gripper.name, Path(spec.object).name, identity(scene.object), (scene.protocol,))
+    empty = ReferenceSet(key, np.zeros((0, 3), np.int64), np.zeros(0, np.uint8), origin)
+    with folder.journal() as journal:
+        found = [best(*_reached(rows)) for rows in journal.blocks()]
+    return _grown(empty, found)
+
+
+def merged(old: ReferenceSet, new: ReferenceSet, where: Path, *, mixed: bool = False) -> ReferenceSet:
+    """Both sets of one object in one; `where` the new runs are is for errors. Raises as `build`."""
+    known, came = _origin(old, where), _origin(new, where)
+    if known.identity != came.identity:
+        raise InputError(
+            f"The runs of '{old.object}' are on different objects, '{known.object}' and '{came.object}', "
+            f"whose mesh or centre of mass differs ({where}); give one of them another name with --name."
+        )
+    if not mixed and not set(came.protocols) <= set(known.protocols):
+        raise InputError(
+            f"The runs of '{old.object}' are under different evaluation protocols, "
+            f"{_listed(known.protocols)} and {_listed(came.protocols)} ({where}); --mixed takes them all."
+        )
+    protocols = tuple(sorted({*known.protocols, *came.protocols}))
+    return replace(_grown(old, [(new.cells, new.fitness)]), origin=replace(known, protocols=protocols))
+
+
+def _add(sets: Sets, new: ReferenceSet, where: Path, mixed: bool) -> None:
+    """Add a set to those of one gripper."""
+    grippers = {origin.gripper for origin in (one.origin for one in (*sets.values(), new)) if origin}
+    if len(grippers) > 1:
+        raise InputError(
+            f"One file holds the sets of one gripper, and these runs are with {_listed(grippers)} ({where})."
+        )
+    old = sets.get(new.object)
+    sets[new.object] = new if old is None else merged(old, new, where, mixed=mixed)
+
+
+def _reached(rows: Rows) -> Reached:
+    """The cells of successful nominal rows, and the shakes that each survived."""
+    found = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
+    return cells(found["base_to_object"][:, :3]), found["outcome"] - np.uint8(Outcome.DROPPED)
+
+
+def _grown(old: ReferenceSet, found: Iterable[Reached]) -> ReferenceSet:
+    """A set with more cells, each once with its best fitness, in lexicographic order."""
+    reached, fitness = zip((old.cells, old.fitness), *found, strict=True)
+    distinct, greatest = best(np.concatenate(reached), np.concatenate(fitness))
+    return replace(old, cells=distinct, fitness=greatest)
+
+
+def _origin(known: ReferenceSet, path: Path) -> Origin:
+    if known.origin is None:
+        raise AssetError(
+            f"'{path}' does not say what its sets were built from, so that nothing can be added to it; "
+            "name another file with --out."
+        )
+    return known.origin
+
+
+def _known(out: Path) -> Sets:
+    """The sets in a file that can be added to; none where there is no file."""
+    sets = read_references(out) if out.exists() else {}
+    for known in sets.values():
+        _origin(known, out)
+    return sets
+
+
+def _write(out: Path, sets: Sets) -> None:
+    arrays: dict[str, NDArray[np.generic]] = {}
+    for name, known in sorted(sets.items()):
+        origin = _origin(known, out)
+        arrays["gripper"] = np.array(origin.gripper)
+        arrays[f"{name}.cm"] = known.cells.astype(np.int16)
+        arrays[f"{name}.fitness"] = known.fitness
+        arrays[f"{name}.made_with"] = np.array(origin.object)
+        arrays[f"{name}.identity"] = np.array(origin.identity)
+        arrays[f"{name}.protocols"] = np.array(origin.protocols)
+    payload = io.BytesIO()
+    np.savez_compressed(payload, allow_pickle=False, **arrays)
+    with disk.writing(out.absolute().parent):
+        disk.write(out, payload.getvalue())
+
+
+def _listed(names: Iterable[str]) -> str:
+    return " and ".join(f"'{name}'" for name in sorted(names))
