@@ -6,9 +6,9 @@ from typing import Any
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
+from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import method
-from qdgrasp_coordinator.service import Assignment
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
 

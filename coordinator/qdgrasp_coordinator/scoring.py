@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.scene import Bundle, Scene
+from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.crew import Crew
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.poses import Poses
@@ -14,7 +15,7 @@ from qdgrasp_coordinator.preparation import RUN, scene_shape
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.searches.given import Given
-from qdgrasp_coordinator.service import Assignment, CoordinatorService
+from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_coordinator.supervisor import Team, Watch
 from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import Stop

@@ -8,18 +8,16 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 import msgspec
 import structlog
 
-from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.batch import Settlement
 from qdgrasp_coordinator.dispatch import Dispatch
 from qdgrasp_coordinator.figures import Figures, to_json
 from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.inbox import Event, Inbox, JoinRequest, LinkChange, TokenChange, Wake
-from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.platforms import admit
 from qdgrasp_coordinator.record import Record
 from qdgrasp_protocol import chunks, codec
@@ -34,33 +32,17 @@ from qdgrasp_protocol.messages import (
     Join,
     Joined,
     Message,
-    OpenRun,
     Recorded,
     Result,
     short,
 )
-from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
+from qdgrasp_protocol.rows import RESULT, Rows, unpack
 
 log = structlog.get_logger()
 
 STAT_INTERVAL = 0.5  # seconds between two publications of the figures
 ASK_INTERVAL = 0.1  # seconds between two questions to a recorder that does not answer
 MAX_PATIENCE = 0.5  # seconds that the inbox is waited for, at most
-
-
-@dataclass(frozen=True)
-class Assignment:
-    """One run that a coordinator carries out."""
-
-    run: str
-    spec: bytes
-    """The full spec as TOML."""
-    bundle: Bundle
-    prior: str
-    shape: Shape
-    pipeline: Pipeline
-    evaluations: int
-    """The budget."""
 
 
 class CoordinatorService:
@@ -126,7 +108,7 @@ class CoordinatorService:
         self._stop.tell(lambda: self._inbox.put(Wake()))
         with ExitStack() as stack:
             self._listen_to_recorder(stack)
-            opened = self._record.open(self._open_run(), self._wait)
+            opened = self._record.open(self._run.opening, self._wait)
             self._epoch = opened.epoch
             self._platform = opened.platform
             self._dispatch = Dispatch(opened.epoch, self._batch_size)
@@ -138,17 +120,6 @@ class CoordinatorService:
             self._publish_figures(time.monotonic())
         reason = self._pipeline.finished or "asked to stop"
         log.info("ended", run=self._run.run, reason=reason, **self._dispatch.counters)
-
-    def _open_run(self) -> OpenRun:
-        shape = self._run.shape
-        return OpenRun(
-            run=self._run.run,
-            spec=self._run.spec,
-            scene=self._run.bundle.digest,
-            genes=shape.genes,
-            joints=shape.joints,
-            descriptors=shape.descriptors,
-        )
 
     def _listen_to_recorder(self, stack: ExitStack) -> None:
         stack.enter_context(self._bus.subscribe(self._keys.recorded, self._inbox.put))

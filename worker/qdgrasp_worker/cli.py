@@ -41,12 +41,12 @@ def worker(
             return
         speak("worker")
         from qdgrasp_protocol.zenoh_bus import ZenohBus
-        from qdgrasp_worker.library import Library
+        from qdgrasp_worker.bundles import Bundles
         from qdgrasp_worker.service import WorkerService
 
         with ZenohBus.connect(connect, wait, stop) as bus:
-            library = Library(cache or cache_folder() / "scenes")
-            WorkerService(bus, stop, job=job, platform=platform(), library=library).run()
+            bundles = Bundles(cache or cache_folder() / "scenes")
+            WorkerService(bus, stop, job=job, platform=platform(), bundles=bundles).run()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
 

@@ -36,9 +36,9 @@ from qdgrasp_protocol.messages import (
     short,
 )
 from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
+from qdgrasp_worker.bundles import Bundles
 from qdgrasp_worker.desk import Desk
 from qdgrasp_worker.evaluate import Evaluator
-from qdgrasp_worker.library import Library
 from qdgrasp_worker.worlds import Worlds
 
 log = structlog.get_logger()
@@ -94,19 +94,19 @@ class WorkerService:
         The only job to serve; None: every job there is.
     platform
         What decides the bits of this worker's results (docs/reproducibility.md).
-    library
+    bundles
         Where scenes come from.
     """
 
     def __init__(
-        self, bus: Bus, stop: Stop, *, job: str | None, platform: dict[str, str], library: Library
+        self, bus: Bus, stop: Stop, *, job: str | None, platform: dict[str, str], bundles: Bundles
     ) -> None:
         self.wid = secrets.token_hex(16)
         self._bus = bus
         self._stop = stop
         self._only = job
         self._platform = platform
-        self._library = library
+        self._bundles = bundles
         self._worlds = Worlds()
         self._jobs: dict[str, Appointment] = {}
         self._tokens = ExitStack()
@@ -264,7 +264,7 @@ class WorkerService:
 
     def _evaluator(self, job: str, digest: str) -> Evaluator:
         def load() -> Evaluator:
-            return Evaluator(unpack_scene(self._library.bundle(self._bus, job, digest)))
+            return Evaluator(unpack_scene(self._bundles.bundle(self._bus, job, digest)))
 
         return self._worlds.get(digest, load)
 

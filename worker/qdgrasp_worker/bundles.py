@@ -10,7 +10,7 @@ from qdgrasp_protocol import chunks
 from qdgrasp_protocol.bus import Bus
 
 
-class Library:
+class Bundles:
     """Scene bundles by digest.
 
     Parameters
