@@ -66,7 +66,7 @@ def released_carrier(robot: Urdf, base: str, hold_force: float) -> Carried:
     return Carried(urdf, tuple(_command(axis, hold_force, 1.0) for axis in SIX))
 
 
-def paper_carrier(robot: Urdf, base: str, hold_force: float) -> Carried:  # noqa: ARG001
+def paper_carrier(robot: Urdf, base: str, hold_force: float) -> Carried:
     """The hand alone on z and x, behind 3 kg.
 
     Forces grow with what they move, mass along z and inertia about x, so that every empty hand moves like

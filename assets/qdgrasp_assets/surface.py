@@ -25,7 +25,7 @@ class Surface:
     finder_high: Floats
 
 
-def paper_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, seed: int) -> Surface:  # noqa: ARG001
+def paper_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, seed: int) -> Surface:
     """The cloud as the paper means it.
 
     2000 points per 0.2 m of the diagonal of the bounding box, area-uniform, each with the normal of the

@@ -93,7 +93,7 @@ PRIORS = {
 }
 
 
-def _random(spec: RunSpec, genes: int, box: Box) -> Search:  # noqa: ARG001 - one signature for all
+def _random(spec: RunSpec, genes: int, box: Box) -> Search:
     return RandomSearch(spec.seed, spec.population, genes)
 
 

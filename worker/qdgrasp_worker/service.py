@@ -35,7 +35,7 @@ from qdgrasp_protocol.messages import (
     Work,
     short,
 )
-from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, Shape, pack, unpack
 from qdgrasp_worker.bundles import Bundles
 from qdgrasp_worker.desk import Desk
 from qdgrasp_worker.evaluate import Evaluator
@@ -286,20 +286,8 @@ class WorkerService:
             failures += [
                 Failure(row=place.start + row, reason=short(reason)) for row, reason in part.failures
             ]
-        return Result(
-            epoch=work.epoch,
-            run=work.run,
-            generation=work.generation,
-            batch=work.batch,
-            attempt=work.attempt,
-            wid=self.wid,
-            n=work.n,
-            joints=shape.joints,
-            descriptors=shape.descriptors,
-            columns=pack(rows, RESULT),
-            cpu_seconds=time.process_time() - began,
-            failures=failures,
-        )
+        seconds = time.process_time() - began
+        return answer(work, self.wid, shape, pack(rows, RESULT), seconds, failures)
 
     def _show_progress(self, work: Work) -> None:
         """Show, about once a second, that a long batch goes on; so its lease does not pass."""
@@ -319,6 +307,14 @@ class WorkerService:
 
 def failed(work: Work, wid: str, reason: str) -> Result:
     """The result of a batch of which no row can be evaluated."""
+    failures = [Failure(row=row, reason=short(reason)) for row in range(work.n)]
+    return answer(work, wid, Shape(work.genes, joints=0, descriptors=0), {}, 0.0, failures)
+
+
+def answer(
+    work: Work, wid: str, shape: Shape, columns: dict[str, bytes], seconds: float, failures: list[Failure]
+) -> Result:
+    """The result of a batch: what it found, what that cost [CPU s], and which rows failed."""
     return Result(
         epoch=work.epoch,
         run=work.run,
@@ -327,11 +323,11 @@ def failed(work: Work, wid: str, reason: str) -> Result:
         attempt=work.attempt,
         wid=wid,
         n=work.n,
-        joints=0,
-        descriptors=0,
-        columns={},
-        cpu_seconds=0.0,
-        failures=[Failure(row=row, reason=short(reason)) for row in range(work.n)],
+        joints=shape.joints,
+        descriptors=shape.descriptors,
+        columns=columns,
+        cpu_seconds=seconds,
+        failures=failures,
     )
 
 
