@@ -96,6 +96,7 @@ def inertia_about_x(hand: Urdf) -> float:
 CARRIERS: dict[str, Callable[[Urdf, str, float], Carried]] = {
     "paper": paper_carrier,
     "released": released_carrier,
+    "robust": paper_carrier,
 }
 """How an evaluation protocol carries the hand."""
 

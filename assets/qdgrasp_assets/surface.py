@@ -53,7 +53,7 @@ def released_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, s
     return Surface(points, normals[nearest_triangle(points, triangles)], low, high)
 
 
-SURFACES = {"paper": paper_surface, "released": released_surface}
+SURFACES = {"paper": paper_surface, "released": released_surface, "robust": paper_surface}
 """How an evaluation protocol samples the object."""
 
 

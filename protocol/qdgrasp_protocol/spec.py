@@ -14,7 +14,7 @@ from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 
-ProtocolName = Literal["paper", "released"]
+ProtocolName = Literal["paper", "released", "robust"]
 """The evaluation protocols (docs/protocols.md)."""
 Overlaps = Literal["count", "redraw"]
 """Whether a pose whose open hand overlaps the object counts as an evaluation."""

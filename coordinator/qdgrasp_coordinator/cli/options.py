@@ -11,7 +11,8 @@ Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in
 Mass = Annotated[float | None, typer.Option(help="Mass of the object [kg]; needed for a mesh file.")]
 Friction = Annotated[float | None, typer.Option(help="Lateral friction of the object; default 0.5.")]
 ProtocolOption = Annotated[
-    str | None, typer.Option("--protocol", help="Evaluation protocol: paper or released; default paper.")
+    str | None,
+    typer.Option("--protocol", help="Evaluation protocol: paper, released or robust; default paper."),
 ]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
 BatchSize = Annotated[
