@@ -2,7 +2,8 @@
 
 import errno
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,6 +21,59 @@ def write(file: Path, payload: bytes) -> None:
         os.fsync(stream.fileno())
     part.replace(file)
     sync(file.parent)
+
+
+def read(file: Path) -> bytes:
+    """What a file holds.
+
+    Raises
+    ------
+    FolderError
+        It cannot be read.
+    """
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise FolderError(f"{file} cannot be read: {reason(error)}.") from None
+
+
+def create(path: Path, files: Mapping[str, bytes], folders: Iterable[str] = ()) -> None:
+    """Make a folder with files and empty folders in it; it appears whole or not at all.
+
+    Raises
+    ------
+    DiskFull, FolderError
+        It cannot be made.
+    """
+    whole = path.absolute()
+    part = whole.with_name(f".{whole.name}.{os.getpid()}.part")
+    try:
+        with writing(path):
+            part.mkdir(parents=True)
+            for name, payload in files.items():
+                write(part / name, payload)
+            for name in folders:
+                (part / name).mkdir()
+            part.rename(path)  # replaces an empty folder, and nothing else
+            sync(whole.parent)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def check_free(path: Path) -> None:
+    """Check that nothing is at `path`, or an empty folder.
+
+    Raises
+    ------
+    FolderError
+        Something is there.
+    """
+    if path.exists() and not path.is_dir():
+        raise FolderError(f"{path} is a file; name a folder with --out.")
+    names = sorted(entry.name for entry in path.iterdir()) if path.exists() else []
+    if names:
+        some = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+        raise FolderError(f"{path} holds other files ({some}); name a new or empty folder with --out.")
 
 
 def sync(folder: Path) -> None:

@@ -28,7 +28,7 @@ SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 
 
 class JournalWriter(Journal):
-    """A journal to add to; whoever opens it holds the folder's lock (`RunFolder.lock`)."""
+    """A journal to add to; whoever opens it holds the lock of its job (`JobFolder.lock`)."""
 
     @classmethod
     def create(cls, folder: Path, identity: Identity) -> "JournalWriter":

@@ -83,8 +83,8 @@ class Ledger:
             journal.set_spec(to_toml(spec))
         if folder.spec != spec:
             folder.rewrite_spec(spec)
-        epoch = folder.epoch + 1
-        folder.set_epoch(epoch)
+        epoch = folder.job.epoch + 1
+        folder.job.set_epoch(epoch)
         journal.begin_turn(epoch, time.time())
         self.intake = Intake(epoch, journal.count)
         self._platform, self._written = {}, {}
@@ -118,8 +118,8 @@ class Ledger:
         group = self.intake.group
         if self._folder is None or self._journal is None or group is None:
             return
-        if self._folder.epoch < self.intake.epoch:  # the folder is a copy from before that coordinator
-            self._folder.set_epoch(self.intake.epoch)
+        if self._folder.job.epoch < self.intake.epoch:  # the folder is a copy from before that coordinator
+            self._folder.job.set_epoch(self.intake.epoch)
         if self._platform:
             self._journal.set_platform(self._platform)
             self._written, self._platform = self._platform, {}
@@ -154,17 +154,17 @@ class Ledger:
             RunFolder.check_free(self._path)
             return
         folder = RunFolder.open(self._path)
-        if folder.job != self._job:
+        if folder.job.name != self._job:
             raise FolderError(
-                f"{self._path} is of job '{folder.job}', not '{self._job}'; say --job {folder.job}."
+                f"{self._path} is of job '{folder.job.name}', not '{self._job}'; say --job {folder.job.name}."
             )
         self._enter(folder)
         if (self._path / FILE).exists():
             journal = self._write(JournalWriter.open(self._path))
-            self.intake = Intake(folder.epoch, journal.count)
+            self.intake = Intake(folder.job.epoch, journal.count)
 
     def _enter(self, folder: RunFolder) -> RunFolder:
-        self._held.enter_context(folder.lock())
+        self._held.enter_context(folder.job.lock())
         self._folder = folder
         return folder
 

@@ -7,13 +7,11 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.assignment import Assignment
+from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import method
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
-
-RUN = "run"
-"""The name of the run in a job that has only one."""
 
 
 def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
@@ -53,7 +51,7 @@ def make_bundle(spec: RunSpec) -> tuple[Scene, Bundle]:
     return scene, pack_scene(scene)
 
 
-def assignment(spec: RunSpec, scene: Scene, bundle: Bundle) -> Assignment:
+def assignment(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> Assignment:
     """A run, ready for the coordinator."""
     chosen = method(spec.method)
     shape = scene_shape(scene, chosen.prior)
@@ -65,7 +63,7 @@ def assignment(spec: RunSpec, scene: Scene, bundle: Bundle) -> Assignment:
         overlaps=spec.overlaps,
         generations_in_flight=spec.generations_in_flight,
     )
-    return Assignment(RUN, to_toml(spec).encode(), bundle, chosen.prior, shape, pipeline, spec.evaluations)
+    return Assignment(run, to_toml(spec).encode(), bundle, chosen.prior, shape, pipeline, spec.evaluations)
 
 
 def scene_shape(scene: Scene, prior: str) -> Shape:

@@ -9,9 +9,10 @@ import numpy as np
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.crew import Crew
+from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.poses import Poses
-from qdgrasp_coordinator.preparation import RUN, scene_shape
+from qdgrasp_coordinator.preparation import scene_shape
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.searches.given import Given

@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 
 from qdgrasp_coordinator.crew import Crew, Death
 from qdgrasp_coordinator.figures import Figures, from_json
-from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError, MessageError
@@ -38,7 +38,7 @@ class Team:
 class Supervisor:
     """Starts a run's processes, shows its progress, and ends them with it."""
 
-    def __init__(self, folder: RunFolder, team: Team, display: Display, stop: Stop) -> None:
+    def __init__(self, folder: JobFolder, team: Team, display: Display, stop: Stop) -> None:
         self._folder = folder
         self._team = team
         self._display = display
@@ -82,12 +82,12 @@ class Supervisor:
         crew.hire("coordinator", "qdgrasp_coordinator.cli.coordinator", arguments)
 
     def _hire_recorder(self, crew: Crew, endpoint: str) -> None:
-        arguments = ["--connect", endpoint, "--job", self._folder.job, "--out", str(self._folder.path)]
+        arguments = ["--connect", endpoint, "--job", self._folder.name, "--out", str(self._folder.path)]
         arguments += ["--disk-wait", str(self._team.disk_wait)]
         crew.hire("recorder", "qdgrasp_coordinator.cli.recorder", arguments)
 
     def _hire_worker(self, crew: Crew, endpoint: str, number: int) -> None:
-        arguments = ["--connect", endpoint, "--job", self._folder.job]
+        arguments = ["--connect", endpoint, "--job", self._folder.name]
         crew.hire(f"worker-{number}", "qdgrasp_worker.cli", arguments)
 
     def _listen(self, endpoint: str, stack: ExitStack, watch: "Watch") -> AbstractContextManager[None]:
@@ -97,7 +97,7 @@ class Supervisor:
         except EndpointError:
             watch.look(time.monotonic())  # the coordinator's death says more
             raise
-        return bus.subscribe(Keys(self._folder.job).stat("run/*"), self._news.put)
+        return bus.subscribe(Keys(self._folder.name).stat("run/*"), self._news.put)
 
     def _await(self, condition: Callable[[], bool], watch: "Watch") -> None:
         """Look after the processes and show what they report until the condition holds or a signal comes."""

@@ -163,10 +163,12 @@ class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Open(Message, frozen=True, kw_only=True):
-    """Coordinator to recorder, query: opens a job with its runs."""
+    """Coordinator to recorder, query: opens runs of a job."""
 
     job: Name
     runs: list[OpenRun]
+    epoch: Count = 0
+    """The turn that these runs join, where the coordinator has one already; 0: it begins one."""
 
 
 class Opened(Message, frozen=True, kw_only=True):

@@ -26,13 +26,13 @@ def test_a_new_folder_holds_the_spec_the_scene_and_the_job(folder: RunFolder) ->
     again = RunFolder.open(folder.path)
     assert again.spec == SPEC
     assert again.bundle().payload == b"scene"
-    assert (again.job, again.epoch) == ("my-run-1", 0)
-    assert again.logs.is_dir()
+    assert (again.job.name, again.job.epoch) == ("my-run-1", 0)
+    assert again.job.logs.is_dir()
     assert sorted(entry.name for entry in folder.path.parent.iterdir()) == ["My run 1"]
 
 
 def test_the_job_may_have_a_name_of_its_own(tmp_path: Path) -> None:
-    assert RunFolder.create(tmp_path / "a" / "b", SPEC, None, job="mugs").job == "mugs"
+    assert RunFolder.create(tmp_path / "a" / "b", SPEC, None, job="mugs").job.name == "mugs"
 
 
 def test_an_empty_folder_may_become_a_runs(tmp_path: Path) -> None:
@@ -80,15 +80,15 @@ def test_a_creation_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytes
 
 
 def test_the_epoch_survives(folder: RunFolder) -> None:
-    folder.set_epoch(41)
+    folder.job.set_epoch(41)
     again = RunFolder.open(folder.path)
-    assert (again.epoch, again.job) == (41, "my-run-1")
+    assert (again.job.epoch, again.job.name) == (41, "my-run-1")
 
 
 def test_a_damaged_job_file_is_named(folder: RunFolder) -> None:
     (folder.path / "job.json").write_text('{"job": "a", "epoch"')
     with pytest.raises(FolderError, match=r"job\.json is damaged"):
-        assert folder.epoch
+        assert folder.job.epoch
 
 
 def test_a_damaged_scene_is_named(folder: RunFolder) -> None:
@@ -103,12 +103,12 @@ def test_a_spec_can_be_rewritten(folder: RunFolder) -> None:
 
 
 def test_the_endpoint_is_known_from_when_it_is_written_until_it_is_forgotten(folder: RunFolder) -> None:
-    assert folder.endpoint is None
-    folder.write_endpoint("tcp/127.0.0.1:7447")
-    assert RunFolder.open(folder.path).endpoint == "tcp/127.0.0.1:7447"
-    folder.forget_endpoint()
-    folder.forget_endpoint()
-    assert folder.endpoint is None
+    assert folder.job.endpoint is None
+    folder.job.write_endpoint("tcp/127.0.0.1:7447")
+    assert RunFolder.open(folder.path).job.endpoint == "tcp/127.0.0.1:7447"
+    folder.job.forget_endpoint()
+    folder.job.forget_endpoint()
+    assert folder.job.endpoint is None
 
 
 def test_a_journal_that_no_recorder_has_opened_is_empty(folder: RunFolder) -> None:
@@ -137,11 +137,11 @@ def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder)
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"
         with pytest.raises(FolderError, match=f"in use by process {holder.pid}"):
-            folder.check_not_in_use()
-        with pytest.raises(FolderError, match=f"in use by process {holder.pid}"), folder.lock():
+            folder.job.check_not_in_use()
+        with pytest.raises(FolderError, match=f"in use by process {holder.pid}"), folder.job.lock():
             pass
         holder.kill()
         holder.wait()
-    folder.check_not_in_use()
-    with folder.lock(), pytest.raises(FolderError, match=f"in use by process {os.getpid()}"):
-        folder.check_not_in_use()
+    folder.job.check_not_in_use()
+    with folder.job.lock(), pytest.raises(FolderError, match=f"in use by process {os.getpid()}"):
+        folder.job.check_not_in_use()

@@ -184,7 +184,7 @@ class TestOpening:
         for epoch in (1, 2, 3):
             with recording(network, folder.path):
                 assert coordinator.open() == Opened(epoch=epoch, durable=[0], platform={})
-                assert RunFolder.open(folder.path).epoch == epoch
+                assert RunFolder.open(folder.path).job.epoch == epoch
 
     def test_a_run_goes_on_where_its_journal_ends_on_its_platform(
         self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
@@ -224,7 +224,7 @@ class TestOpening:
                     coordinator.open(job="cubes")
                 with pytest.raises(Refused, match="unknown key 'sed'"):
                     coordinator.open("gripper = 'a'\nobject = 'b'\nsed = 1")
-        assert folder.epoch == 1
+        assert folder.job.epoch == 1
 
     def test_a_recorder_elsewhere_begins_the_folder_and_fetches_the_scene(
         self, network: LocalNetwork, coordinator: Coordinator, tmp_path: Path
@@ -236,7 +236,7 @@ class TestOpening:
             coordinator.page(0, 1)  # answered in the same thread, after the scene was fetched
         folder = RunFolder.open(tmp_path / "new")
         assert folder.bundle() == BUNDLE
-        assert (folder.spec, folder.job, folder.epoch) == (SPEC, JOB, 1)
+        assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
 
 
 class TestRecording:
@@ -363,7 +363,7 @@ class TestRecording:
             coordinator.meet()
             coordinator.send(rows, 0, 10)
             coordinator.hears_durable(10)
-        assert folder.epoch == 7
+        assert folder.job.epoch == 7
 
     def test_what_waits_when_the_recorder_is_asked_to_stop_is_committed(
         self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
@@ -388,7 +388,7 @@ class TestFolders:
         (tmp_path / "other").mkdir()
         (tmp_path / "other" / "file").touch()
         foreign = RunFolder.create(tmp_path / "foreign", SPEC, BUNDLE, job="cubes").path
-        with folder.lock():
+        with folder.job.lock():
             for path, words in (
                 (folder.path, "is in use"),
                 (tmp_path / "other", "holds other files"),
@@ -535,13 +535,13 @@ class TestCommand:
                 coordinator.hears_durable(10)
                 process.terminate()
                 assert process.wait(SOON) == 143
-            with folder.lock(), self.process(endpoint, folder.path, stderr=full) as process:
+            with folder.job.lock(), self.process(endpoint, folder.path, stderr=full) as process:
                 assert process.wait(SOON) == 2
 
     def test_two_recorders_of_one_folder_are_one_too_many(
         self, endpoint: str, router: ZenohBus, folder: RunFolder
     ) -> None:
-        with folder.lock(), self.process(endpoint, folder.path) as process:
+        with folder.job.lock(), self.process(endpoint, folder.path) as process:
             _, said = process.communicate(timeout=SOON)
         assert process.returncode == 2
         assert f"is in use by process {os.getpid()}".encode() in said

@@ -44,14 +44,14 @@ def coordinator(
         spec = preparation.full_spec(read_run_spec(what), str(what))
         scene, bundle = preparation.make_bundle(spec)
     run = preparation.assignment(spec, scene, bundle)
-    name = job or (folder.job if folder else job_name(what.stem))
+    name = job or (folder.job.name if folder else job_name(what.stem))
     with lifetime("qdgrasp-coordinator") as stop, ExitStack() as stack:
         speak("coordinator")
         bus, endpoint = _session(listen, connect, stop)
         stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
         if folder is not None:
-            folder.write_endpoint(endpoint)
+            folder.job.write_endpoint(endpoint)
         record = RecorderLink(bus, name, run.shape)
         CoordinatorService(bus, stop, job=name, assignment=run, record=record, batch_size=batch_size).run()
     raise typer.Exit(stop.exit_code)

@@ -31,7 +31,7 @@ def resume(
     Example: qdgrasp resume runs/panda-mug-contact_me_scs-s0 --evaluations 20000
     """
     folder = RunFolder.open(directory)
-    folder.check_not_in_use()
+    folder.job.check_not_in_use()
     if evaluations is not None:
         extend(folder, evaluations)
     found = summary(folder)

@@ -98,7 +98,7 @@ def start(
 def carry_out(folder: RunFolder, team: Team, shown: Display, stop: Stop) -> None:
     """Carry a run out; what ends it early names the command that goes on."""
     try:
-        Supervisor(folder, team, shown, stop).run()
+        Supervisor(folder.job, team, shown, stop).run()
     except EndedEarly as error:
         raise EndedEarly(f"{error} `qdgrasp resume {folder.path}` goes on where it stopped.") from None
 
