@@ -44,17 +44,21 @@ def check(name: str) -> Report:
         return Report(name, faults=(str(error),))
 
 
+def is_gripper(name: str) -> bool:
+    """Whether a name or file means a gripper rather than an object."""
+    return name.endswith(GRIPPER_SUFFIX) or name in {listing.name for listing in catalog.every_gripper()}
+
+
 def _check_of(name: str) -> Callable[[str], Report]:
     if name in STAND_INS:
         return _stand_in
     if name in SCANS:
         return _SCANS[ycb.source(name)]
-    listings = catalog.every_gripper()
-    if name in {listing.name for listing in listings} or name.endswith(GRIPPER_SUFFIX):
+    if is_gripper(name):
         return _gripper
     if Path(name).expanduser().is_file():
         return _mesh_file
-    known = [listing.name for listing in (*listings, *catalog.every_object())]
+    known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
     raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
 
 

@@ -70,7 +70,7 @@ def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) ->
     chosen = well_spread(successes, scene.gripper, _camera([thing], azimuth, pixels))
     links = list(_links(scene, chosen))
     image = Image(_camera([thing, *(link.mesh for link in links)], azimuth, pixels))
-    _paint_solid(image, Solid(thing), _rgb(CLAY))
+    paint_solid(image, Solid(thing), rgb(CLAY))
     distance = Distance(thing)
     for link in links:
         _paint_link(image, link, distance)
@@ -84,9 +84,9 @@ def view_of_cells(scene: Scene, best: Rows, azimuth: float, pixels: int) -> View
     image = Image(_camera([thing, _cubes(places)], azimuth, pixels))
     right, _, toward = image.camera.seen(places / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (len(places) <= CUT_OPEN)
-    cubes = np.array([_rgb(colour) for colour in FITNESS])[np.repeat(fitness[kept], len(CUBE_FACES))]
-    clay = np.tile(_rgb(CLAY), (len(thing.faces), 1))
-    _paint_solid(image, Solid(join([thing, _cubes(places[kept])])), np.concatenate([clay, cubes]))
+    cubes = np.array([rgb(colour) for colour in FITNESS])[np.repeat(fitness[kept], len(CUBE_FACES))]
+    clay = np.tile(rgb(CLAY), (len(thing.faces), 1))
+    paint_solid(image, Solid(join([thing, _cubes(places[kept])])), np.concatenate([clay, cubes]))
     return View(image.finished(), image.camera, best, bool(kept.all()))
 
 
@@ -143,7 +143,7 @@ def _on_triangles(corners: NDArray[np.float64], n: int) -> NDArray[np.float64]:
 def _links(scene: Scene, chosen: Rows) -> Iterator[Link]:
     drawn = hand(scene.gripper)
     for turn, row in enumerate(chosen):
-        hue = _rgb(HUES[turn % len(HUES)])
+        hue = rgb(HUES[turn % len(HUES)])
         for shape, vertices in drawn.posed(row["base_to_object"].astype(float), row["joints"].astype(float)):
             yield Link(Mesh(vertices, shape.faces), hue, drawn.is_finger(shape))
 
@@ -153,7 +153,7 @@ def _camera(meshes: list[Mesh], azimuth: float, pixels: int) -> Camera:
     return camera(points, azimuth, ELEVATION, FINE * pixels, FINE * pixels)
 
 
-def _paint_solid(image: Image, solid: Solid, colour: Floats) -> None:
+def paint_solid(image: Image, solid: Solid, colour: Floats) -> None:
     """Paint it in one colour (3,) or one for each face (f, 3)."""
     hits = solid.seen_by(image.camera)
     light = 0.14 + 0.92 * lit(hits, solid, image.camera) ** 0.7
@@ -195,5 +195,6 @@ CUBE_FACES = np.array(
 """Triangles of a cube whose corners are counted with z fastest."""
 
 
-def _rgb(colour: str) -> Floats:
+def rgb(colour: str) -> Floats:
+    """A colour's red, green and blue (3,) in [0, 1]."""
     return np.array(to_rgb(colour), dtype=np.float32)

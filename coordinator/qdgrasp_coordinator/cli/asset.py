@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,12 +11,13 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from qdgrasp_assets import catalog, ycb
-from qdgrasp_assets.check import Report
+from qdgrasp_assets.check import Report, is_gripper
 from qdgrasp_assets.check import check as check_asset
 from qdgrasp_assets.fetch import HOME, TERMS
 from qdgrasp_assets.fetch import fetch as fetch_scan
 from qdgrasp_coordinator.cli import options
 from qdgrasp_protocol.errors import AssetError, WrongScan
+from qdgrasp_protocol.spec import RunSpec
 
 app = typer.Typer(no_args_is_help=True, help="Grippers and objects: list, fetch and check them.")
 
@@ -73,15 +75,23 @@ def check(
             metavar="[NAME|FILE]...", help="Of the catalog, a mesh or a gripper's TOML; default: all here."
         ),
     ] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Draw each that can be used: a hand open and closed, an object's parts."
+        ),
+    ] = None,
 ) -> None:
-    """Say what assets are and what is wrong with them.
+    """Say what assets are and what is wrong with them, and draw them.
 
-    Example: qdgrasp asset check ycb_mug part.stl my_hand.toml
+    Example: qdgrasp asset check ycb_mug part.stl my_hand.toml --pictures pictures
     """
     reports = [check_asset(name) for name in names or (*catalog.gripper_names(), *catalog.object_names())]
     for report in reports:
         for line in _lines(report):
             typer.echo(line)
+        if pictures is not None and not report.faults:
+            typer.echo(f"      drawn: {_drawn(report.name, pictures)}")
     wrong = [report.name for report in reports if report.faults]
     if wrong:
         raise AssetError(
@@ -94,6 +104,21 @@ def _lines(report: Report) -> Iterable[str]:
         yield f"{'WRONG' if report.faults else 'ok':<5} {report.name}: {', '.join(report.facts)}"
     for fault in report.faults:
         yield f"WRONG {report.name}: {fault}"
+
+
+def _drawn(name: str, folder: Path) -> Path:
+    """The picture of an asset, in a folder that is made where it is not there."""
+    # matplotlib takes half a second to import, and most commands draw nothing
+    from qdgrasp_coordinator.analysis.portrait import draw_gripper, draw_object
+
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = folder / f"{Path(name).stem}.png"
+    if is_gripper(name):
+        draw_gripper(catalog.find_gripper(name).on_carrier("paper"), picture)
+    else:
+        any_mass = RunSpec(gripper="", object=name, mass=1.0)
+        draw_object(catalog.find_object(any_mass), picture)
+    return picture
 
 
 def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:
