@@ -7,7 +7,13 @@ from numpy.typing import NDArray
 
 from qdgrasp_protocol.errors import ReplayError
 from qdgrasp_protocol.genome import Genomes
+from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
+
+LOOK = 4096
+"""The most rows that become final at once."""
+Places = NDArray[np.int64]
+"""(n,): indices, or trials, of rows."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +24,7 @@ class Generation:
     indices: NDArray[np.uint32]
     """(n,): places in the generation."""
     trials: NDArray[np.uint16]
-    """(n,): 0, nominal."""
+    """(n,): 0 is nominal, 1 and up are randomised."""
     genomes: Genomes
     """(n, d)."""
 
@@ -26,45 +32,87 @@ class Generation:
 class Slot:
     """One generation that is asked and not yet told.
 
+    The journal has its nominal rows by index, then the trials of its successes by (index, trial).
+
     Parameters
     ----------
     limit
-        How many of its rows are needed at most, from index 0 on.
+        How many of its nominal rows are needed at most, from index 0 on.
+    trials
+        How many trials a success has.
     """
 
-    handed_out: bool = False
     final: int = 0
-    """How many of its rows are final."""
+    """How many of its rows are final, in journal order."""
 
-    def __init__(self, number: int, genomes: Genomes, shape: Shape, limit: int) -> None:
+    def __init__(self, number: int, genomes: Genomes, shape: Shape, limit: int, trials: int = 0) -> None:
         self.number = number
-        self.rows = shape.empty(len(genomes))
-        self.rows["generation"] = number
-        self.rows["index"] = np.arange(len(genomes))
-        self.rows["genome"] = genomes
-        self._here = np.zeros(min(limit, len(genomes)), dtype=bool)
+        self._trials = trials
+        self._nominal = min(limit, len(genomes))
+        """Nominal rows that the journal is to hold."""
+        self._rows = shape.empty(len(genomes) * (1 + trials)).reshape(len(genomes), 1 + trials)
+        """By index and trial; what is never written costs no memory."""
+        self._rows["generation"][:, 0] = number
+        self._rows["index"][:, 0] = np.arange(len(genomes))
+        self._rows["genome"][:, 0] = genomes
+        self._here = np.zeros((self._nominal, 1 + trials), dtype=bool)
+        self._handed_out = False
+        self._opened = 0
+        """Nominal rows, from index 0 on, whose trials were handed out where they are successes."""
 
-    def hand_out(self) -> Generation:
-        """The rows that are still missing."""
-        self.handed_out = True
-        rows = self.rows[: len(self._here)][~self._here]
-        return Generation(self.number, rows["index"], rows["trial"], rows["genome"])
+    @property
+    def told(self) -> Rows:
+        """Its nominal rows by index as the search hears them: fitness is the sum over a success's trials."""
+        rows = self._rows[:, 0].copy()
+        if self._trials:
+            found = self._successes(0, len(rows))
+            rows["fitness"][found] = self._rows["fitness"][found, 1:].sum(axis=1)
+        return rows
+
+    @property
+    def missing(self) -> int:
+        """How many nominal rows are not final yet."""
+        return max(0, self._nominal - self.final)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every row that the journal is to hold is final."""
+        return not self.missing and self.final == self._nominal + self._trials * len(self._found)
+
+    def hand_out(self) -> Generation | None:
+        """Rows that are missing and were not handed out yet; None when there are none now.
+
+        Nominal rows first; the trials of a success once all nominal rows up to it are here.
+        """
+        if not self._handed_out:
+            self._handed_out = True
+            indices = np.flatnonzero(~self._here[: self._nominal, 0])
+            if len(indices):
+                return self._to_evaluate(indices, np.zeros_like(indices))
+        gapless = _gapless(self._here[self._opened : self._nominal, 0])
+        found = self._successes(self._opened, self._opened + gapless)
+        self._opened += gapless
+        places, trials = np.nonzero(~self._here[found, 1:])
+        return self._to_evaluate(found[places], trials + 1) if len(places) else None
 
     def place(self, rows: Rows) -> tuple[int, int]:
         """Put rows in their places; gives how many were here already, and how many were not asked."""
-        asked = rows[(rows["index"] < len(self._here)) & (rows["trial"] == 0)]
-        index, first = np.unique(asked["index"], return_index=True)
-        new = first[~self._here[index]]
-        places = asked["index"][new]
-        self.rows[places] = asked[new]
-        self._here[places] = True
+        asked = rows[self._is_asked(rows)]
+        indices, trials = asked["index"].astype(np.int64), asked["trial"].astype(np.int64)
+        _, first = np.unique(indices * (1 + self._trials) + trials, return_index=True)
+        new = first[~self._here[indices[first], trials[first]]]
+        self._put(asked[new], indices[new], trials[new])
         return len(asked) - len(new), len(rows) - len(asked)
 
     def arrived(self) -> Rows:
-        """The rows behind the final ones, up to the first that is missing."""
-        waiting = self._here[self.final :]
-        n = len(waiting) if waiting.all() else int(waiting.argmin())
-        return self.rows[self.final : self.final + n]
+        """Rows behind the final ones, up to the first that is missing: nominal ones, or else trials."""
+        indices, trials = self._next(LOOK)
+        n = _gapless(self._here[indices, trials])
+        return self._rows[indices[:n], trials[:n]]
+
+    def cut(self) -> None:
+        """Hear that nominal rows behind the final ones are not needed: the budget is spent."""
+        self._nominal = min(self._nominal, self.final)
 
     def replay(self, rows: Rows) -> None:
         """Take what belongs here of recorded rows that begin behind the final ones.
@@ -74,13 +122,49 @@ class Slot:
         ReplayError
             Keys or genomes differ from those asked, in any bit.
         """
-        stop = min(self.final + len(rows), len(self._here))
-        asked, recorded = self.rows[self.final : stop], rows[: stop - self.final]
+        nominal = _gapless(rows["trial"] == 0)  # where the budget ends a generation, trials follow early
+        indices, trials = self._next(max(1, nominal) if self.missing else len(rows))
+        recorded = rows[: len(indices)]
+        asked = self._rows[indices[: len(recorded)], 0]
+        asked["trial"] = trials[: len(recorded)]
         for column in ("generation", "index", "trial", "genome"):
             if asked[column].tobytes() != recorded[column].tobytes():
                 raise ReplayError(self._mismatch(asked, recorded, column))
-        asked[:] = recorded
-        self._here[self.final : stop] = True
+        self._put(recorded, indices[: len(recorded)], trials[: len(recorded)])
+
+    @property
+    def _found(self) -> Places:
+        """The successes among the nominal rows that the journal is to hold, by index."""
+        return self._successes(0, self._nominal)
+
+    def _successes(self, first: int, stop: int) -> Places:
+        outcomes = self._rows["outcome"][first:stop, 0]
+        return first + np.flatnonzero(outcomes >= Outcome.DROPPED)
+
+    def _is_asked(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which rows are of this slot: nominal ones, and trials of successes once they were handed out."""
+        is_known = (rows["index"] < len(self._here)) & (rows["trial"] <= self._trials)
+        indices = np.where(is_known, rows["index"], 0)
+        is_success = self._rows["outcome"][indices, 0] >= Outcome.DROPPED
+        asked: NDArray[np.bool_] = is_known & ((rows["trial"] == 0) | ((indices < self._opened) & is_success))
+        return asked
+
+    def _to_evaluate(self, indices: Places, trials: Places) -> Generation:
+        genomes = self._rows["genome"][indices, 0]
+        return Generation(self.number, indices.astype(np.uint32), trials.astype(np.uint16), genomes)
+
+    def _put(self, rows: Rows, indices: Places, trials: Places) -> None:
+        self._rows[indices, trials] = rows
+        self._here[indices, trials] = True
+
+    def _next(self, most: int) -> tuple[Places, Places]:
+        """Indices and trials of the rows behind the final ones, in journal order: nominal, or else trials."""
+        if self.missing:
+            indices = np.arange(self.final, self._nominal)[:most]
+            return indices, np.zeros_like(indices)
+        found = self._found
+        places = np.arange(self.final - self._nominal, self._trials * len(found))[:most]
+        return found[places // max(1, self._trials)], 1 + places % max(1, self._trials)
 
     def _mismatch(self, asked: Rows, recorded: Rows, column: str) -> str:
         pairs = zip(asked[column], recorded[column], strict=True)
@@ -90,3 +174,8 @@ class Slot:
             f"index {asked['index'][place]}: it was recorded by another spec or version of qdgrasp, "
             "so this run cannot go on from it."
         )
+
+
+def _gapless(here: NDArray[np.bool_]) -> int:
+    """How many there are before the first that is missing."""
+    return len(here) if here.all() else int(here.argmin())

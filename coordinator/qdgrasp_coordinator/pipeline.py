@@ -1,8 +1,9 @@
 """The pipeline of one run: in which order its search is asked and told, and when its budget is spent.
 
 Results arrive in any order; the search hears them generation by generation, and the journal is that order:
-by generation, within it nominal rows by index. Pure state: whatever came in between, the rows that
-become final, and what the search is asked, are a function of the spec (docs/reproducibility.md).
+by generation, within it nominal rows by index, then the trials of successes by (index, trial). Pure state:
+whatever came in between, the rows that become final, and what the search is asked, are a function of the spec
+(docs/reproducibility.md).
 """
 
 from collections import deque
@@ -35,10 +36,13 @@ class Pipeline:
     shape
         The shape of the run's rows.
     evaluations
-        The budget: the run ends with the row that reaches it in journal order. Later rows of that
-        generation are not journalled, and that generation is not told.
+        The budget: the run ends with the nominal row that reaches it in journal order, and the trials of
+        its generation's rows up to that one. Later rows of that generation are not journalled, and that
+        generation is not told.
     overlaps
         Whether overlaps count.
+    trials
+        How many trials each nominal success has; its fitness is then the sum over them.
     """
 
     duplicates: int = 0
@@ -53,11 +57,13 @@ class Pipeline:
         evaluations: int,
         overlaps: Overlaps,
         generations_in_flight: int = 1,
+        trials: int = 0,
     ) -> None:
-        self.tally = Tally(evaluations, overlaps)
+        self.tally = Tally(evaluations, overlaps, trials)
         self._search = search
         self._shape = shape
         self._overlaps = overlaps
+        self._trials = trials
         self._open: deque[Slot] = deque()
         self._asked = 0
         self._cpu_seconds = 0.0
@@ -73,8 +79,8 @@ class Pipeline:
     def ask(self) -> Generation | None:
         """The next rows to evaluate; None when there are none now, or the run is finished."""
         for slot in self._open if self.finished is None else ():
-            if not slot.handed_out:
-                return slot.hand_out()
+            if (rows := slot.hand_out()) is not None:
+                return rows
         return None
 
     def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> Stretch:
@@ -154,21 +160,23 @@ class Pipeline:
             return None
         slot.final += len(rows)
         self.tally.count(rows)
-        if slot.final == len(slot.rows):
+        if self.tally.left <= 0:
+            slot.cut()
+        if slot.is_complete:
             self.tally.end_generation()
             self._close(slot)
         return rows
 
     def _within_budget(self, rows: Rows) -> Rows:
-        """Rows up to the one that reaches the budget."""
+        """Rows up to the one that reaches the budget; where it is spent, all of them: they are trials."""
         reached = np.flatnonzero(counted(rows, self._overlaps))
         left = self.tally.left
-        return rows if len(reached) < left else rows[: reached[left - 1] + 1]
+        return rows if left <= 0 or len(reached) < left else rows[: reached[left - 1] + 1]
 
     def _close(self, slot: Slot) -> None:
         """Tell a complete generation, and ask the one that waited for it, unless the run is over."""
         if self.finished is None:
-            self._search.tell(slot.number, slot.rows)
+            self._search.tell(slot.number, slot.told)
             self._open.popleft()
             self._prepare()
 
@@ -176,13 +184,13 @@ class Pipeline:
         """Ask the search for the next generation, unless the open ones are sure to spend the budget."""
         needed = self.tally.left
         if self._overlaps == "count":
-            needed -= sum(len(slot.rows) - slot.final for slot in self._open)
+            needed -= sum(slot.missing for slot in self._open)
         if needed <= 0:
             return
         genomes = self._search.ask(self._asked)
         if len(genomes):
             limit = needed if self._overlaps == "count" else len(genomes)
-            self._open.append(Slot(self._asked, genomes, self._shape, limit))
+            self._open.append(Slot(self._asked, genomes, self._shape, limit, self._trials))
             self._asked += 1
 
     def _failures(self, rows: Rows) -> tuple[Failure, ...]:

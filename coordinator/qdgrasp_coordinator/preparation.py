@@ -12,6 +12,7 @@ from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import method
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
+from qdgrasp_protocol.trials import trials
 
 
 def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
@@ -24,13 +25,16 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     """
     chosen = method(run_spec(values, where).method)
     whole = {"overlaps": chosen.overlaps, "population": chosen.population, **values}
-    for name in ("gripper", "object"):
-        path = Path(values[name]).expanduser()
-        if path.suffix and path.is_file():
-            whole[name] = str(path.resolve())
+    whole |= {name: located(values[name]) for name in ("gripper", "object")}
     spec = run_spec(whole, where)
     chosen.check(spec)
     return spec
+
+
+def located(name: Any) -> Any:
+    """A gripper or object: a file as its absolute path, anything else as it is."""
+    path = Path(name).expanduser() if isinstance(name, str) else Path()
+    return str(path.resolve()) if path.suffix and path.is_file() else name
 
 
 def default_name(spec: RunSpec) -> str:
@@ -62,6 +66,7 @@ def assignment(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> A
         evaluations=spec.evaluations,
         overlaps=spec.overlaps,
         generations_in_flight=spec.generations_in_flight,
+        trials=trials(spec.protocol),
     )
     return Assignment(run, to_toml(spec).encode(), bundle, chosen.prior, shape, pipeline, spec.evaluations)
 

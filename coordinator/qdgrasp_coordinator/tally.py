@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.cells import cells, keys
+from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
+from qdgrasp_protocol.trials import trials
 
 BARREN = 20
 """A run ends when so many generations in a row counted nothing."""
@@ -33,6 +35,8 @@ class Tally:
         Counted evaluations after which the run is over.
     overlaps
         Whether overlaps count as evaluations.
+    trials
+        How many trials each success has.
     """
 
     rows: int = 0
@@ -40,12 +44,19 @@ class Tally:
     """Counted evaluations: what the budget limits."""
     proposals: int = 0
     """Poses that decoding screened."""
+    trials: int = 0
+    """Rows that are no nominal ones."""
+    errors: int = 0
+    """Rows on which the simulator failed three times, trials included."""
 
-    def __init__(self, budget: int, overlaps: Overlaps) -> None:
+    def __init__(self, budget: int, overlaps: Overlaps, trials: int = 0) -> None:
         self.budget = budget
         self._overlaps = overlaps
+        self._trials = trials
         self._barren = 0
         self._before = 0
+        self._last: np.void | None = None  # the last nominal row
+        self._trials_follow = False
         self._outcomes = np.zeros(len(Outcome), dtype=np.int64)
         self._cells: set[int] = set()
 
@@ -53,12 +64,21 @@ class Tally:
         """Count the next rows."""
         nominal = rows[rows["trial"] == 0]
         self.rows += len(rows)
+        self.trials += len(rows) - len(nominal)
+        self.errors += int(np.count_nonzero(rows["outcome"] == Outcome.ERROR))
         self.evaluations += int(np.count_nonzero(counted(rows, self._overlaps)))
         self.proposals += int(nominal["proposals"].sum(dtype=np.int64))
+        self._note_end(rows, nominal)
         self._outcomes += np.bincount(nominal["outcome"], minlength=len(Outcome))
         successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
         if len(successes):
             self._cells.update(keys(cells(successes["descriptor"][:, :3])).tolist())
+
+    def _note_end(self, rows: Rows, nominal: Rows) -> None:
+        if len(nominal):
+            self._last = nominal[-1]
+        if len(rows):
+            self._trials_follow = bool(rows["trial"][-1] > 0)
 
     def end_generation(self) -> None:
         """Hear that the rows counted so far end a generation."""
@@ -70,14 +90,44 @@ class Tally:
         """Counted evaluations that the budget still allows."""
         return self.budget - self.evaluations
 
+    def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
+        """Check that the journal of `spec`, which may have another budget, begins with the rows counted.
+
+        Parameters
+        ----------
+        where
+            What the budget is called in an error.
+
+        Raises
+        ------
+        ImpossibleValue
+            The rows go on behind that budget, or they end a generation early for the sake of another one:
+            what follows then are trials, where a greater budget has nominal rows first.
+        """
+        if self._last is None:
+            return
+        is_counted = bool(counted(self._last.reshape(1), self._overlaps)[0])
+        least = self.evaluations + (not is_counted)
+        if spec.evaluations < least:
+            raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
+        is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
+        if is_cut and spec.evaluations > least:
+            expected = f"{least}: trials end the generation there, and only whole generations can be extended"
+            raise ImpossibleValue(where, spec.evaluations, expected)
+
     @property
     def finished(self) -> str | None:
         """Why the run is over, in words; None while it is not."""
-        if self.left <= 0:
+        if self.left <= 0 and not self._owed:
             return f"the budget of {self.budget} evaluations is spent"
         if self._barren >= BARREN:
             return f"the last {BARREN} generations counted no evaluation"
         return None
+
+    @property
+    def _owed(self) -> int:
+        """Trials that successes so far still have before them."""
+        return self._trials * self.successes - self.trials
 
     def _from(self, outcome: Outcome) -> int:
         return int(self._outcomes[outcome:].sum())
@@ -86,11 +136,6 @@ class Tally:
     def cells(self) -> int:
         """Distinct 1 cm cells with a success."""
         return len(self._cells)
-
-    @property
-    def errors(self) -> int:
-        """Rows on which the simulator failed three times."""
-        return int(self._outcomes[Outcome.ERROR])
 
     @property
     def dead_ends(self) -> int:
@@ -124,12 +169,12 @@ class Tally:
 
 
 def tally(spec: RunSpec, blocks: Iterable[Rows]) -> Tally:
-    """The tally of a journal of nominal rows, in its order, in blocks of any length."""
-    total = Tally(spec.evaluations, spec.overlaps)
+    """The tally of a journal, in its order, in blocks of any length."""
+    total = Tally(spec.evaluations, spec.overlaps, trials(spec.protocol))
     for block in blocks:
         for number in np.unique(block["generation"]):
             rows = block[block["generation"] == number]
             total.count(rows)
-            if (rows["index"] == spec.population - 1).any():
+            if ((rows["index"] == spec.population - 1) & (rows["trial"] == 0)).any():
                 total.end_generation()
     return total

@@ -54,10 +54,10 @@ class Chain:
 
 
 def evaluate(rows: Rows) -> Rows:
-    """The rows with results: a pure function of each genome, poison (about 4 %) included."""
+    """The rows with results: a pure function of each genome and trial, poison (about 4 %) included."""
     found = rows.copy()
     genome = rows["genome"]
-    share = (genome[:, 0] + 1) / 2
+    share = ((genome[:, 0] + 1) / 2 + rows["trial"] * np.float32(0.37)) % 1
     found["outcome"] = np.searchsorted([0.04, 0.1, 0.5, 0.7, 0.75, 0.85, 0.95], share, side="right")
     found["fitness"] = np.maximum(found["outcome"].astype(np.float32) - Outcome.DROPPED, 0)
     found["proposals"] = 1
@@ -75,6 +75,7 @@ class Plan:
     evaluations: int = 32
     overlaps: Overlaps = "count"
     in_flight: int = 1
+    trials: int = 0
     batch_size: int | None = 2
     workers: int = 2
     credit: int = 2
@@ -108,7 +109,7 @@ class Plan:
     def pipeline(self) -> Pipeline:
         """A new pipeline of this run."""
         search = self.search(self.population, self.seed)
-        return Pipeline(search, SHAPE, self.evaluations, self.overlaps, self.in_flight)
+        return Pipeline(search, SHAPE, self.evaluations, self.overlaps, self.in_flight, self.trials)
 
 
 def reference(plan: Plan) -> bytes:
@@ -120,16 +121,28 @@ def reference(plan: Plan) -> bytes:
         number, genomes = waiting.popleft()
         rows = evaluate(rows_of(number, genomes))
         counts = rows["outcome"] >= (Outcome.MISSED if plan.overlaps == "redraw" else Outcome.ERROR)
-        for row, counts_too in zip(rows, counts, strict=True):
-            journal.append(row.tobytes())
-            counted += bool(counts_too)
-            if counted == plan.evaluations:
-                return b"".join(journal)
+        until = np.flatnonzero(counted + np.cumsum(counts) == plan.evaluations)[:1]
+        is_last = len(until) > 0
+        rows = rows[: until[0] + 1] if is_last else rows
+        trials = [trials_of(row, plan.trials) for row in rows if row["outcome"] >= Outcome.DROPPED]
+        journal += [rows.tobytes(), *(found.tobytes() for found in trials)]
+        counted += int(counts.sum())
         barren = 0 if counts.any() else barren + 1
-        if barren == 20:
+        if is_last or barren == 20:
             return b"".join(journal)
+        if plan.trials:
+            sums = [float(sum(trial["fitness"] for trial in found)) for found in trials]
+            rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = sums
         search.tell(number, rows)
         waiting.append((number + plan.in_flight, search.ask(number + plan.in_flight)))
+
+
+def trials_of(row: np.void, trials: int) -> Rows:
+    """The trials of a nominal row, evaluated."""
+    rows = SHAPE.empty(trials)
+    rows["generation"], rows["index"], rows["genome"] = row["generation"], row["index"], row["genome"]
+    rows["trial"] = np.arange(1, trials + 1)
+    return evaluate(rows)
 
 
 def rows_of(number: int, genomes: Genomes) -> Rows:
@@ -198,10 +211,13 @@ class Worker:
     def _result(self, work: Work) -> Result:
         rows = SHAPE.empty(work.n)
         rows["genome"] = np.frombuffer(work.columns["genome"], "<f4").reshape(work.n, work.genes)
+        rows["trial"] = np.frombuffer(work.columns["trial"], "<u2")
         found = evaluate(rows)
         failures = []
         for place, row in enumerate(found):
-            if row["outcome"] == Outcome.ERROR or self.world.hiccup(row["genome"].tobytes()):
+            if row["outcome"] == Outcome.ERROR or self.world.hiccup(
+                row["genome"].tobytes() + row["trial"].tobytes()
+            ):
                 found[place] = np.zeros((), SHAPE.dtype)
                 failures.append(Failure(row=place, reason="the child aborted"))
         self.world.evaluated[work.batch] += 1
@@ -443,9 +459,9 @@ class World:
 
     # What goes wrong.
 
-    def hiccup(self, genome: bytes) -> bool:
-        if self._hiccups[genome] < 2 and self.chance.random() < self.plan.hiccup:
-            self._hiccups[genome] += 1
+    def hiccup(self, row: bytes) -> bool:
+        if self._hiccups[row] < 2 and self.chance.random() < self.plan.hiccup:
+            self._hiccups[row] += 1
             return True
         return False
 

@@ -4,22 +4,27 @@ import itertools
 import random
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from tests.coordinator.simulated import SHAPE, Chain, Plan, evaluate, reference, rows_of
 
 from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.tally import BARREN
-from qdgrasp_protocol.errors import ReplayError
+from qdgrasp_coordinator.tally import BARREN, Tally
+from qdgrasp_protocol.errors import ImpossibleValue, ReplayError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import RunSpec
 
 PLANS = [
-    Plan(population=population, evaluations=evaluations, overlaps=overlaps, in_flight=in_flight, seed=seed)
-    for seed, (population, evaluations, overlaps, in_flight) in enumerate(
-        itertools.product((1, 5, 7), (1, 14, 15, 23), ("count", "redraw"), (1, 2, 3))
+    Plan(population=p, evaluations=budget, overlaps=overlaps, in_flight=in_flight, trials=trials, seed=seed)
+    for seed, (p, budget, overlaps, in_flight, trials) in enumerate(
+        (
+            *itertools.product((1, 5, 7), (1, 14, 15, 23), ("count", "redraw"), (1, 2, 3), (0,)),
+            *itertools.product((1, 7), (1, 14, 23), ("count", "redraw"), (1, 3), (3,)),
+        )
     )
 ]
 
@@ -86,12 +91,40 @@ def test_any_recorded_beginning_goes_on_to_the_same_journal(plan: Plan) -> None:
 
 
 @pytest.mark.parametrize("plan", [plan for plan in PLANS if plan.evaluations == 23], ids=str)
-def test_a_smaller_budget_gives_a_beginning_of_the_same_journal(plan: Plan) -> None:
+def test_a_smaller_budget_gives_a_beginning_of_the_same_journal_or_is_known_not_to(plan: Plan) -> None:
     whole = reference(plan)
+    spec = RunSpec(gripper="hand", object="thing", population=plan.population, evaluations=plan.evaluations)
+    extended = 0
     for evaluations in range(1, 23):
-        part = journal(replace(plan, evaluations=evaluations).pipeline(), 0)
-        assert whole.startswith(part)
+        smaller = replace(plan, evaluations=evaluations).pipeline()
+        part = journal(smaller, 0)
         assert len(part) < len(whole)
+        if whole.startswith(part):
+            smaller.tally.check_budget(spec)
+            extended += 1
+        else:
+            with pytest.raises(ImpossibleValue, match="only whole generations can be extended"):
+                smaller.tally.check_budget(spec)
+    assert extended == 22 if plan.trials == 0 else extended > 0
+
+
+@pytest.mark.parametrize("trials", [0, 2])
+@pytest.mark.parametrize("overlaps", ["count", "redraw"])
+def test_recorded_rows_allow_just_the_budgets_whose_journals_begin_with_them(overlaps, trials: int) -> None:
+    plan = Plan(population=5, evaluations=13, overlaps=overlaps, trials=trials, seed=3)
+    spec = RunSpec(gripper="hand", object="thing", population=5, overlaps=overlaps)
+    journals = {budget: reference(replace(plan, evaluations=budget)) for budget in range(1, 16)}
+    whole = rows_in(journals[13])
+    for n in range(len(whole) + 1):
+        tally = Tally(13, overlaps, trials)
+        tally.count(whole[:n])
+        for budget, expected in journals.items():
+            asked = msgspec.structs.replace(spec, evaluations=budget)
+            if expected.startswith(whole[:n].tobytes()):
+                tally.check_budget(asked)
+            else:
+                with pytest.raises(ImpossibleValue):
+                    tally.check_budget(asked)
 
 
 def test_the_last_row_of_the_journal_is_the_one_that_reaches_the_budget() -> None:
@@ -268,3 +301,128 @@ def test_a_journal_longer_than_the_budget_is_refused(overlaps) -> None:
     recorded = rows_in(reference(plan))
     with pytest.raises(ReplayError, match="budget of 29 evaluations is spent"):
         replace(plan, evaluations=29).pipeline().replay(recorded)
+
+
+# Trials.
+
+
+class Fertile(Spy):
+    """Asks successes at even indices and misses at odd ones."""
+
+    def ask(self, generation: int) -> Genomes:
+        genomes = super().ask(generation)
+        genomes[:, 0] = np.where(np.arange(len(genomes)) % 2, 0.1, 0.6)
+        return genomes
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        super().tell(generation, rows)
+        self.heard = rows
+
+
+def fertile(population: int = 4, evaluations: int = 100, trials: int = 3) -> tuple[Fertile, Pipeline]:
+    search = Fertile(population)
+    return search, Pipeline(search, SHAPE, evaluations, "count", trials=trials)
+
+
+def keys_of(rows: Rows) -> list[tuple[int, int]]:
+    return list(zip(rows["index"].tolist(), rows["trial"].tolist(), strict=True))
+
+
+def test_a_generation_is_journalled_as_nominal_rows_and_then_the_trials_of_its_successes() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    first = pipeline.settle(nominal)
+    trials = asked(pipeline)
+    second = pipeline.settle(trials[::-1])
+    assert keys_of(first.rows) == [(0, 0), (1, 0), (2, 0), (3, 0)]
+    assert keys_of(second.rows) == [(0, 1), (0, 2), (0, 3), (2, 1), (2, 2), (2, 3)]
+    assert (second.rows["genome"] == nominal["genome"][[0, 0, 0, 2, 2, 2]]).all()
+
+
+def test_the_trials_of_a_success_are_asked_when_the_nominal_rows_up_to_it_are_here() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal[2:])
+    assert pipeline.ask() is None
+    pipeline.settle(nominal[:1])
+    assert keys_of(asked(pipeline)) == [(0, 1), (0, 2), (0, 3)]
+    pipeline.settle(nominal[1:2])
+    assert keys_of(asked(pipeline)) == [(2, 1), (2, 2), (2, 3)]
+    assert pipeline.ask() is None
+
+
+def test_the_search_hears_the_sum_over_the_trials_as_the_fitness_of_a_success() -> None:
+    search, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal)
+    trials = asked(pipeline)
+    trials["outcome"], trials["fitness"] = Outcome.HELD, 2
+    trials["outcome"][4], trials["fitness"][4] = Outcome.ERROR, 0
+    assert search.calls == ["ask 0"]
+    pipeline.settle(trials)
+    assert search.calls == ["ask 0", "tell 0", "ask 1"]
+    assert search.heard["fitness"].tolist() == [6, 0, 4, 0]
+    heard = search.heard.copy()
+    heard["fitness"] = nominal["fitness"]
+    assert heard.tobytes() == nominal.tobytes()
+
+
+def test_a_run_ends_with_the_trials_of_the_rows_that_its_budget_reaches() -> None:
+    search, pipeline = fertile(evaluations=3)
+    assert len(pipeline.settle(asked(pipeline))) == 3
+    assert pipeline.finished is None
+    assert pipeline.tally.left == 0
+    assert len(pipeline.settle(asked(pipeline))) == 6
+    assert pipeline.finished == "the budget of 3 evaluations is spent"
+    assert (pipeline.tally.evaluations, pipeline.tally.trials, pipeline.tally.rows) == (3, 6, 9)
+    assert search.calls == ["ask 0"]
+
+
+def test_where_overlaps_are_redrawn_no_trial_is_asked_behind_the_row_that_ends_the_run() -> None:
+    plan = Plan(population=9, evaluations=3, overlaps="redraw", trials=3, seed=2)
+    pipeline = plan.pipeline()
+    pipeline.settle(asked(pipeline)[::-1])
+    end = pipeline.tally.rows
+    assert end < 9
+    assert asked(pipeline)["index"].max() < end
+
+
+def test_trials_that_nobody_asked_for_are_ignored_and_counted() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    early = nominal.copy()
+    early["trial"] = 1
+    pipeline.settle(early)
+    assert (pipeline.strays, pipeline.duplicates) == (4, 0)
+    pipeline.settle(nominal)
+    trials = asked(pipeline)
+    wrong = trials[:3].copy()
+    wrong["trial"] = [4, 60_000, 1]
+    wrong["index"][2] = 1  # no success
+    pipeline.settle(wrong)
+    assert (pipeline.strays, pipeline.duplicates) == (7, 0)
+    pipeline.settle(trials[1:3])
+    pipeline.settle(trials[1:3])
+    assert (pipeline.strays, pipeline.duplicates) == (7, 2)
+
+
+@pytest.mark.parametrize(("column", "value"), [("trial", 2), ("index", 1), ("genome", 0.25)])
+def test_a_journal_with_other_trials_is_refused(column: str, value: float) -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal)
+    recorded = np.concatenate([nominal, asked(pipeline)])
+    recorded[column][4] = value
+    with pytest.raises(ReplayError, match=rf"journal's {column} differs .* generation 0, index 0"):
+        fertile()[1].replay(recorded)
+
+
+def test_a_generation_with_fifty_thousand_trials_is_told_when_the_last_is_here() -> None:
+    """Five hundred successes with a hundred trials each, in batches of twenty-five."""
+    search, pipeline = fertile(population=1000, evaluations=10_000, trials=100)
+    pipeline.settle(asked(pipeline))
+    trials = asked(pipeline)
+    assert len(trials) == 50_000
+    found = [len(pipeline.settle(trials[first : first + 25])) for first in range(0, len(trials), 25)]
+    assert sum(found) == 50_000
+    assert search.calls[-1] == "ask 1"

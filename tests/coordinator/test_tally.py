@@ -91,3 +91,39 @@ def test_an_unfinished_generation_is_not_taken_for_a_barren_one() -> None:
     bad = [rows(*[Outcome.OVERLAP] * 2, generation=number) for number in range(BARREN)]
     assert tally(spec, blocks(*bad, size=5)).finished is not None
     assert tally(spec, blocks(*bad[:-1], bad[-1][:1], size=5)).finished is None
+
+
+def robust_journal() -> Rows:
+    """Two generations of two rows, a success with a hundred trials in each."""
+    parts = []
+    for number in range(2):
+        nominal = rows(Outcome.HELD, Outcome.MISSED, generation=number)
+        trials = rows(*[Outcome.SHAKEN] * 100, generation=number)
+        trials["index"], trials["trial"] = 0, np.arange(1, 101)
+        parts += [nominal, trials]
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("size", [1, 3, 101, 1000])
+def test_a_journal_with_trials_is_complete_when_the_last_trial_is_recorded(size: int) -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=2, evaluations=4, protocol="robust")
+    journal = robust_journal()
+    total = tally(spec, blocks(journal[:-1], size=size))
+    assert (total.evaluations, total.successes, total.trials, total.finished) == (4, 2, 199, None)
+    total = tally(spec, blocks(journal, size=size))
+    assert total.finished == "the budget of 4 evaluations is spent"
+
+
+def test_many_trials_in_many_blocks_are_no_barren_generations() -> None:
+    spec = RunSpec(gripper="hand", object="thing", population=1, protocol="robust")
+    found = rows(*[Outcome.HELD] * 101)
+    found["index"], found["trial"] = 0, np.arange(101)
+    assert tally(spec, blocks(found, size=2)).finished is None
+
+
+def test_a_simulator_that_fails_in_a_trial_is_counted_among_the_errors_alone() -> None:
+    found = rows(Outcome.HELD, Outcome.ERROR)
+    found["index"], found["trial"] = 0, [0, 1]
+    total = Tally(10, "count", trials=1)
+    total.count(found)
+    assert (total.errors, total.successes, total.evaluations, total.dead_ends) == (1, 1, 1, 0)
