@@ -18,9 +18,9 @@ import numpy as np
 from qdgrasp_coordinator.disk import damaged
 from qdgrasp_coordinator.journal_format import APPLICATION, FILE, FORMAT, Identity, lay_out, readable
 from qdgrasp_coordinator.stretch import Stretch, joined
+from qdgrasp_coordinator.tally import successes
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.messages import Failure
-from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_protocol.spec import RunSpec, from_toml
 
@@ -118,8 +118,8 @@ class Journal:
             yield stretch.rows
 
     def successes(self) -> Rows:
-        """Every success ever found, in order, all columns; fitness 0 included (the outcome archive A_o)."""
-        found = [rows[rows["outcome"] >= Outcome.DROPPED] for rows in self.blocks()]
+        """Every nominal success ever found, in order, all columns; fitness 0 included (the archive A_o)."""
+        found = [successes(rows) for rows in self.blocks()]
         return np.concatenate([self.shape.empty(0), *found])
 
     def errors(self) -> dict[int, str]:

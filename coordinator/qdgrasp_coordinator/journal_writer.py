@@ -126,7 +126,8 @@ class JournalWriter(Journal):
 
 def _successes(stretch: Stretch) -> list[tuple[float, ...]]:
     """What the table of successes holds of a stretch."""
-    at = np.flatnonzero(stretch.rows["outcome"] >= Outcome.DROPPED)
+    is_nominal = stretch.rows["trial"] == 0
+    at = np.flatnonzero(is_nominal & (stretch.rows["outcome"] >= Outcome.DROPPED))
     rows = stretch.rows[at]
     columns = [stretch.first + at]
     columns += [rows[name] for name in ("generation", "index", "trial", "outcome", "fitness")]

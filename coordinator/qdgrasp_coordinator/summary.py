@@ -3,9 +3,10 @@
 import msgspec
 from msgspec import Struct
 
-from qdgrasp_coordinator.analysis.metrics import Lean, Metrics
+from qdgrasp_coordinator.analysis.metrics import Eta, Lean, Metrics
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.tally import tally
+from qdgrasp_protocol.trials import trials
 
 
 class Summary(Struct, frozen=True, kw_only=True):
@@ -22,7 +23,9 @@ class Summary(Struct, frozen=True, kw_only=True):
     """Counted evaluations so far."""
     budget: int
     rows: int
-    """Rows in the journal, overlaps included."""
+    """Rows in the journal, overlaps and trials included."""
+    trials: int
+    """Rows that repeat a success with drawn disturbances; 0 where the protocol has none."""
     proposals: int
     """Poses that decoding screened."""
     overlaps: int
@@ -30,19 +33,21 @@ class Summary(Struct, frozen=True, kw_only=True):
     successes: int
     """A finger touches the object after closing."""
     grasps: int
-    """Fitness 1 or more."""
+    """Successes that survived at least one of the nominal shakes."""
     robust: int
-    """Fitness 2."""
+    """Successes that survived both nominal shakes."""
     cells: int
     """Distinct 1 cm cells with a success."""
     qd_score: float
-    """The best fitness in each of these cells, summed."""
+    """The best fitness in each of these cells, summed. Fitness is what the search hears: see `Metrics`."""
     success_share: float | None
     """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
     mean_fitness: float | None
     """Of all successes; None without one."""
     nu: Lean
     """How successes lean from the surface normal."""
+    eta: Eta | None
+    """How likely successes are to transfer; None where the protocol has no trials."""
     errors: int
     cpu_seconds: float
     wall_seconds: float
@@ -69,6 +74,7 @@ class Summary(Struct, frozen=True, kw_only=True):
         values = msgspec.structs.asdict(self)
         platform = values.pop("platform")
         values["nu"] = self.nu.words
+        values["eta"] = None if self.eta is None else self.eta.words
         lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
         lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
         return "\n".join(lines)
@@ -78,7 +84,7 @@ def summary(folder: RunFolder) -> Summary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        metrics = Metrics()
+        metrics = Metrics(trials(spec.protocol))
         found = tally(spec, metrics.counting(journal.blocks()))
         return Summary(
             gripper=spec.gripper,
@@ -90,6 +96,7 @@ def summary(folder: RunFolder) -> Summary:
             evaluations=found.evaluations,
             budget=spec.evaluations,
             rows=found.rows,
+            trials=found.trials,
             proposals=found.proposals,
             overlaps=found.overlaps,
             dead_ends=found.dead_ends,
@@ -101,6 +108,7 @@ def summary(folder: RunFolder) -> Summary:
             success_share=found.successes / found.evaluations if found.evaluations else None,
             mean_fitness=metrics.mean_fitness,
             nu=metrics.nu,
+            eta=metrics.eta,
             errors=found.errors,
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,

@@ -26,6 +26,12 @@ def counted(rows: Rows, overlaps: Overlaps) -> NDArray[np.bool_]:
     return nominal if overlaps == "count" else nominal & (rows["outcome"] >= Outcome.MISSED)
 
 
+def successes(rows: Rows) -> Rows:
+    """The nominal successes among rows, in their order: what archives, coverage and figures count."""
+    found: Rows = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
+    return found
+
+
 class Tally:
     """Sums over the rows of a journal in its order; outcomes are those of nominal rows.
 
@@ -70,9 +76,7 @@ class Tally:
         self.proposals += int(nominal["proposals"].sum(dtype=np.int64))
         self._note_end(rows, nominal)
         self._outcomes += np.bincount(nominal["outcome"], minlength=len(Outcome))
-        successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
-        if len(successes):
-            self._cells.update(keys(cells(successes["descriptor"][:, :3])).tolist())
+        self._cells.update(keys(cells(successes(rows)["descriptor"][:, :3])).tolist())
 
     def _note_end(self, rows: Rows, nominal: Rows) -> None:
         if len(nominal):

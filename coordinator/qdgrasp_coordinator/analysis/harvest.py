@@ -17,6 +17,7 @@ from qdgrasp_coordinator import disk, lock
 from qdgrasp_coordinator.analysis.reference import Origin, ReferenceSet, read_references
 from qdgrasp_coordinator.cells import best, cells
 from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.tally import successes
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
@@ -117,7 +118,7 @@ def _add(sets: Sets, new: ReferenceSet, where: Path, mixed: bool) -> None:
 
 def _reached(rows: Rows) -> Reached:
     """The cells of successful nominal rows, and the shakes that each survived."""
-    found = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
+    found = successes(rows)
     return cells(found["base_to_object"][:, :3]), found["outcome"] - np.uint8(Outcome.DROPPED)
 
 

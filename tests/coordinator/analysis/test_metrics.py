@@ -84,3 +84,42 @@ def test_blocks_of_any_length_add_up_to_the_same(size: int) -> None:
     assert np.concatenate(passed).tobytes() == every.tobytes()
     assert (parts.qd_score, parts.mean_fitness, parts.nu) == (whole.qd_score, whole.mean_fitness, whole.nu)
     assert whole.qd_score > 50
+
+
+def with_trials(*sums: int, trials: int = 10) -> Rows:
+    """A generation of successes whose trials survive so many shakes in sum."""
+    nominal = rows(*[Outcome.HELD] * len(sums))
+    nominal["index"] = np.arange(len(sums))
+    nominal["descriptor"][:, 0] = np.arange(len(sums)) // 2 / 100  # two to a cell
+    again = np.repeat(nominal, trials)
+    again["trial"] = np.tile(np.arange(1, trials + 1), len(sums))
+    again["fitness"] = [
+        2.0 * (k < total // 2) + (k == total // 2) * (total % 2) for total in sums for k in range(trials)
+    ]
+    return np.concatenate([nominal, again])
+
+
+def test_with_trials_fitness_is_the_sum_over_them() -> None:
+    metrics = Metrics(trials=10)
+    metrics.count(with_trials(0, 7, 20, 13))
+    assert metrics.qd_score == 7 + 20
+    assert metrics.mean_fitness == 10
+    assert metrics.eta is not None
+    assert (metrics.eta.successes, metrics.eta.mean, metrics.eta.best) == (4, 0.5, 1.0)
+    assert metrics.eta.at_least_half == 0.5
+
+
+def test_a_success_counts_once_its_trials_are_recorded() -> None:
+    metrics = Metrics(trials=10)
+    journal = with_trials(4, 16)
+    metrics.count(journal[:15])
+    assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 4, 4)
+    metrics.count(journal[15:])
+    assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 10, 16)
+
+
+def test_without_trials_there_is_no_eta() -> None:
+    assert counted(rows(Outcome.HELD)).eta is None
+    nothing = Metrics(trials=10).eta
+    assert nothing is not None
+    assert (nothing.successes, nothing.mean, nothing.best, nothing.words) == (0, None, None, "none")
