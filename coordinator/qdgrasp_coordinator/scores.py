@@ -2,7 +2,7 @@
 
 Where the evaluation protocol has trials it is their fitness in sum, known once all of them are recorded;
 elsewhere it is the nominal fitness. Over all shakes of the trials it is eta, the estimated probability that
-the grasp transfers (Huber et al. 2024, section IV: 100 trials of two shakes, so that eta is the sum over 200).
+the grasp transfers (Huber et al. 2024, section IV: 100 trials of two shakes, so it is the sum over 200).
 """
 
 from collections.abc import Iterable, Iterator
