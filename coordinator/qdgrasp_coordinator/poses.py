@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.arrays import read_arrays
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.genome import NO_SYNERGY
+from qdgrasp_protocol.genome import GIVEN, NO_SYNERGY, Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
@@ -82,6 +83,19 @@ def read_poses(path: Path) -> Poses:
     if np.isinf(labels).any() or np.isinf(spreads.astype(np.float64)).any():
         raise InputError(f"{path}: synergy or spread holds a number that is infinite.")
     return Poses(positions, quaternions, labels.astype(np.int64), spreads.astype(np.float64))
+
+
+def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
+    """The genomes of the prior `given` (n, d) that stand for the very poses of rows with genomes of `prior`.
+
+    Evaluated, they give the same outcome, fitness and trials bit for bit.
+    """
+    known, hand = layout(scene, prior), scene.gripper
+    values = rows["genome"].astype(np.float64) if prior == GIVEN else known.values(rows["genome"])
+    own = len(known) - bool(hand.synergies) - len(hand.free_joints)
+    if hand.synergies:
+        values[:, own] = np.rint(values[:, own])
+    return np.hstack([rows["base_to_object"], values[:, own:]]).astype(np.float32)
 
 
 def write_scores(path: Path, rows: Rows) -> None:

@@ -9,7 +9,7 @@ from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.search import check, method
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
 from qdgrasp_protocol.trials import trials
@@ -27,7 +27,7 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     whole = {"overlaps": chosen.overlaps, "population": chosen.population, **values}
     whole |= {name: located(values[name]) for name in ("gripper", "object")}
     spec = run_spec(whole, where)
-    chosen.check(spec)
+    check(spec)
     return spec
 
 

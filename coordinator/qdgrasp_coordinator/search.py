@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from qdgrasp_coordinator.archive import Box
-from qdgrasp_coordinator.searches import cma_mae
+from qdgrasp_coordinator.searches import cma_mae, given
 from qdgrasp_coordinator.searches.map_elites import MapElites, select_successes, select_uniform
 from qdgrasp_coordinator.searches.random import RandomSearch
-from qdgrasp_protocol.errors import UnknownName
-from qdgrasp_protocol.genome import Genomes
+from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
+from qdgrasp_protocol.genome import GIVEN, Genomes
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 
@@ -123,6 +123,14 @@ METHODS = {
 }
 
 
+def _given(spec: RunSpec, genes: int, box: Box) -> Search:
+    return given.given(spec, genes)
+
+
+SCORING = Method(GIVEN, GIVEN, _given, given.check, "count", 500, "The poses of the spec, each once.")
+"""No search: what re-scores grasps; it is not offered among the methods."""
+
+
 def method(name: str) -> Method:
     """The method of a name.
 
@@ -131,6 +139,23 @@ def method(name: str) -> Method:
     UnknownName
         No method is called so; the known ones are named.
     """
-    if name not in METHODS:
+    known = {**METHODS, SCORING.name: SCORING}
+    if name not in known:
         raise UnknownName("method", name, METHODS)
-    return METHODS[name]
+    return known[name]
+
+
+def check(spec: RunSpec) -> None:
+    """Check that a spec asks what its method can do.
+
+    Raises
+    ------
+    UnknownName
+        There is no such method.
+    ImpossibleValue
+        It does not.
+    """
+    chosen = method(spec.method)
+    if spec.poses is not None and chosen is not SCORING:
+        raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
+    chosen.check(spec)

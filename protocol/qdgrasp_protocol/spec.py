@@ -20,6 +20,10 @@ Overlaps = Literal["count", "redraw"]
 """Whether a pose whose open hand overlaps the object counts as an evaluation."""
 
 
+MOST = 4096
+"""Genomes in a generation, at most, and poses in a spec."""
+
+
 class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
     """One search: scene, method, seed and budget."""
 
@@ -37,7 +41,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """The budget: counted evaluations."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
-    population: Annotated[int, Meta(ge=1, le=4096)] = 500
+    population: Annotated[int, Meta(ge=1, le=MOST)] = 500
     """Genomes in a generation (the paper's mu = lambda)."""
     mutation_sigma: Annotated[float, Meta(gt=0, le=2)] = 0.1
     """Standard deviation of the Gaussian mutation, in genes."""
@@ -47,6 +51,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Generation g is asked when generation g minus this has been told."""
     surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     """Seed of the surface points, part of the scene."""
+    poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MOST)] | None = None
+    """The hand poses that the method `given` scores, and no other has: x y z [m], qx qy qz qw, then synergy
+    label and free joints [rad] where the hand has them; decimals that float32 gives back."""
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
@@ -127,6 +134,8 @@ def _expected(kind: Any) -> str:
         return "one of " + ", ".join(repr(value) for value in get_args(kind) or info.values)
     if isinstance(info, msgspec.inspect.StrType):
         return "text"
+    if isinstance(info, msgspec.inspect.VarTupleType):
+        return f"1 to {MOST} lists of numbers"
     words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
     bounds = [
         f"{word} {getattr(info, name)}"
