@@ -38,12 +38,13 @@ class UrdfJoint:
         """Whether it has a degree of freedom."""
         return self.kind in MOVING
 
-    def motion(self, position: float) -> Floats:
-        """(4, 4): the child's frame in the joint's at a position [rad or m]."""
+    def motion(self, position: float | Floats) -> Floats:
+        """(..., 4, 4): the child's frame in the joint's at positions (...) [rad or m]."""
+        places = np.asarray(position, dtype=np.float64)[..., None]
         if self.kind == "prismatic":
-            return _transform(np.eye(3), self.axis * position)
+            return _transform(np.eye(3), self.axis * places)
         if self.moves:
-            return _transform(_rotation(self.axis, position), np.zeros(3))
+            return _transform(_rotation(self.axis, places[..., None]), np.zeros(3))
         return np.eye(4)
 
 
@@ -84,8 +85,13 @@ class Urdf:
         """The joint of this name; None when there is none."""
         return next((joint for joint in self.joints if joint.name == name), None)
 
-    def forward(self, positions: Mapping[str, float], base: Floats | None = None) -> dict[str, Floats]:
-        """Every link's frame (4, 4) in the world, with the root at `base`; joints not named stand at zero."""
+    def forward(
+        self, positions: Mapping[str, float] | Mapping[str, Floats], base: Floats | None = None
+    ) -> dict[str, Floats]:
+        """Every link's frame (..., 4, 4) in the world, with the root at `base`, (4, 4) or (..., 4, 4).
+
+        Positions are numbers or arrays (...); joints not named stand at zero.
+        """
         frames = {self.root: np.eye(4) if base is None else base}
         for joint in self.outward(self.root):
             motion = joint.motion(positions.get(joint.name, 0.0))
@@ -246,8 +252,8 @@ def _axis(path: Path, element: ET.Element | None) -> Floats:
     return axis / length if length else axis
 
 
-def _rotation(axis: Floats, angle: float) -> Floats:
-    """(3, 3): rotation by `angle` [rad] about a unit axis (Rodrigues' formula)."""
+def _rotation(axis: Floats, angle: float | Floats) -> Floats:
+    """(..., 3, 3): rotation by `angle` (..., 1, 1) [rad] about a unit axis (Rodrigues' formula)."""
     x, y, z = axis
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     rotation: Floats = np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * (skew @ skew)
@@ -255,8 +261,9 @@ def _rotation(axis: Floats, angle: float) -> Floats:
 
 
 def _transform(rotation: Floats, translation: Floats) -> Floats:
-    transform = np.eye(4)
-    transform[:3, :3], transform[:3, 3] = rotation, translation
+    batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    transform = np.tile(np.eye(4), (*batch, 1, 1))
+    transform[..., :3, :3], transform[..., :3, 3] = rotation, translation
     return transform
 
 

@@ -98,6 +98,16 @@ def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
     return np.hstack([rows["base_to_object"], values[:, own:]]).astype(np.float32)
 
 
+def postures(scene: Scene, prior: str, rows: Rows) -> NDArray[np.float32]:
+    """The joint positions (n, j) [rad or m] that hands start from: open, free joints as the genomes say."""
+    names = [joint.name for joint in scene.gripper.joints]
+    opened = np.array([joint.opened for joint in scene.gripper.joints], dtype=np.float32)
+    starts = np.tile(opened, (len(rows), 1))
+    if free := [names.index(joint.name) for joint in scene.gripper.free_joints]:
+        starts[:, free] = as_given(scene, prior, rows)[:, -len(free) :]
+    return starts
+
+
 def write_scores(path: Path, rows: Rows) -> None:
     """Write scores beside each other, in the order of the poses; a half-written file never appears.
 

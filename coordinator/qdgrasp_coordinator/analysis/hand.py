@@ -1,4 +1,4 @@
-"""A hand as a picture shows it: the links that collide, where its joints put them."""
+"""A hand as pictures and tables know it: the links that collide, where its joints put them."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -38,11 +38,37 @@ class Hand:
         joints
             (j,): finger joint positions [rad or m], in the gripper's order.
         """
-        names = [joint.name for joint in self.gripper.joints]
-        frames = self.robot.forward(dict(zip(names, joints.tolist(), strict=True)), _frame(base_to_object))
+        frames = self._frames(base_to_object, joints)
         for shape in self.shapes:
             frame = frames[shape.link]
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
+
+    def lowest(self, base_to_object: Floats, joints: Floats, up: Floats) -> Floats:
+        """How low hands reach: (n,) [m], the least of their points' components along `up`.
+
+        Parameters
+        ----------
+        base_to_object
+            (n, 7), as in `posed`.
+        joints
+            (n, j).
+        up
+            (3,), unit, the object's CoM frame.
+        """
+        frames = self._frames(base_to_object, joints)
+        lowest = np.full(len(base_to_object), np.inf)
+        for shape in self.shapes:
+            frame = frames[shape.link]
+            direction = up @ frame[..., :3, :3]
+            height = (direction @ shape.vertices.T).min(axis=-1) + frame[..., :3, 3] @ up
+            lowest = np.minimum(lowest, height)
+        return lowest
+
+    def _frames(self, base_to_object: Floats, joints: Floats) -> dict[str, Floats]:
+        """The links' frames (..., 4, 4) for poses (..., 7) and joint positions (..., j)."""
+        names = [joint.name for joint in self.gripper.joints]
+        positions = dict(zip(names, np.moveaxis(joints, -1, 0), strict=True))
+        return self.robot.forward(positions, _frame(base_to_object))
 
 
 def hand(gripper: SceneGripper) -> Hand:
@@ -53,7 +79,7 @@ def hand(gripper: SceneGripper) -> Hand:
 
 
 def _frame(pose: Floats) -> Floats:
-    frame = np.eye(4)
-    frame[:3, :3] = Rotation.from_quat(pose[3:]).as_matrix()
-    frame[:3, 3] = pose[:3]
+    frame = np.tile(np.eye(4), (*pose.shape[:-1], 1, 1))
+    frame[..., :3, :3] = Rotation.from_quat(pose[..., 3:]).as_matrix()
+    frame[..., :3, 3] = pose[..., :3]
     return frame
