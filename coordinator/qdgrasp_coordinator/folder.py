@@ -104,6 +104,11 @@ class RunFolder:
         return JobFolder(_job_path(self.path))
 
     @property
+    def run(self) -> str:
+        """Its name in its job."""
+        return RUN if JobFolder.is_job(self.path) else self.path.absolute().name
+
+    @property
     def spec(self) -> RunSpec:
         """The full spec."""
         return run_spec(read_run_spec(self.path / SPEC), str(self.path / SPEC))
@@ -146,7 +151,7 @@ class RunFolder:
         if (self.path / journal_format.FILE).exists():
             return Journal.open(self.path)
         scene = self.bundle().digest if self.has_bundle() else ""
-        return Journal.empty(Identity(RUN, to_toml(self.spec), scene, Shape(0, 0)))
+        return Journal.empty(Identity(self.run, to_toml(self.spec), scene, Shape(0, 0)))
 
     def _write(self, name: str, payload: bytes) -> None:
         with disk.writing(self.path):

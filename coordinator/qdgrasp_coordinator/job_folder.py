@@ -1,7 +1,7 @@
 """The folder of a job: whose it is, and who may write in it.
 
-A run of its own is a job of one run: its folder is the job's too. A campaign's folder holds `campaign.toml`,
-and below `runs/` a folder for each of its runs.
+A run of its own is a job of one run: its folder is the job's too. A campaign's folder holds `campaign.toml`
+(on a recorder's machine it need not), and below `runs/` a folder for each of its runs.
 
 * `job.json`      the job's name, and the epoch of its last coordinator
 * `endpoint`      where the coordinator's router listens, while it does
@@ -10,8 +10,10 @@ and below `runs/` a folder for each of its runs.
 * `logs/`         what the job's processes said
 """
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
+from types import MappingProxyType
 
 import msgspec
 
@@ -60,6 +62,19 @@ class JobFolder:
             raise FolderError(f"{path} holds no run and no campaign: there is no {JOB} in it.")
         return cls(path)
 
+    @classmethod
+    def create(cls, path: Path, name: str, files: Mapping[str, bytes] = MappingProxyType({})) -> "JobFolder":
+        """Begin the folder of a campaign, with these files beside its own; it appears whole or not at all.
+
+        Raises
+        ------
+        FolderError, DiskFull
+            The folder holds other files, or cannot be made.
+        """
+        disk.check_free(path)
+        disk.create(path, Job(name).file | dict(files), folders=[LOGS, RUNS])
+        return cls(path)
+
     @staticmethod
     def is_job(path: Path) -> bool:
         """Whether a job was begun in this folder."""
@@ -67,12 +82,19 @@ class JobFolder:
 
     @property
     def is_campaign(self) -> bool:
-        """Whether its runs have folders of their own."""
-        return (self.path / CAMPAIGN).is_file()
+        """Whether its runs have folders of their own; a recorder elsewhere has no campaign file."""
+        return (self.path / CAMPAIGN).is_file() or (self.path / RUNS).is_dir()
 
     def run_path(self, run: str) -> Path:
         """Where the folder of a run is, or is to be."""
         return self.path if run == RUN else self.path / RUNS / run
+
+    @property
+    def run_paths(self) -> list[Path]:
+        """The folders of all its runs that are there."""
+        if not self.is_campaign:
+            return [self.path]
+        return sorted(path for path in (self.path / RUNS).glob("[!.]*") if path.is_dir())
 
     @property
     def name(self) -> str:

@@ -70,9 +70,10 @@ def lay_out(database: sqlite3.Connection, identity: Identity) -> None:
         "created": str(time.time()),
     }
     database.executescript(
-        f"PRAGMA application_id = {APPLICATION}; PRAGMA user_version = {FORMAT}; BEGIN; {SCHEMA} COMMIT;"
+        f"BEGIN; PRAGMA application_id = {APPLICATION}; PRAGMA user_version = {FORMAT}; {SCHEMA}"
     )
     database.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
+    database.execute("COMMIT")  # at once: each transaction is a wait for the disk
 
 
 @contextmanager

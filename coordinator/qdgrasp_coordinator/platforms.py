@@ -9,13 +9,16 @@ class PlatformDiffers(Refused):
     """A worker's platform is not the one that the job's rows come from."""
 
     def __init__(self, job: Mapping[str, str], worker: Mapping[str, str]) -> None:
-        names = sorted({*job, *worker})
-        differences = [
-            f"{name} {worker.get(name, 'absent')[:24]} instead of {job.get(name, 'absent')[:24]}"
-            for name in names
-            if job.get(name) != worker.get(name)
-        ]
-        super().__init__(f"its platform differs: {', '.join(differences)}.")
+        super().__init__(f"its platform differs: {differences(job, worker)}.")
+
+
+def differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
+    """What another platform has instead of the job's, in words."""
+    return ", ".join(
+        f"{name} {other.get(name, 'absent')[:24]} instead of {job.get(name, 'absent')[:24]}"
+        for name in sorted({*job, *other})
+        if job.get(name) != other.get(name)
+    )
 
 
 def admit(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[str, str]:

@@ -10,28 +10,29 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
 import structlog
 
+from qdgrasp_coordinator.books import Books
 from qdgrasp_coordinator.intake import Verdict
-from qdgrasp_coordinator.ledger import Ledger
-from qdgrasp_coordinator.stretch import to_message
+from qdgrasp_coordinator.reports import Reports
+from qdgrasp_coordinator.room import Room
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.errors import BusError, DiskFull, InputError, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable, Recorded, short
+from qdgrasp_protocol.messages import Log, Open, Platform, Recordable, Recorded, short
 
 log = structlog.get_logger()
 
-REPORT_INTERVAL = 1.0  # seconds between two reports when nothing happens
-RETRY_INTERVAL = 1.0  # seconds between two tries on a full disk
+FETCH_INTERVAL = 1.0  # seconds between two tries to fetch scenes
 ANSWER_PATIENCE = 10.0  # seconds that a query waits for its turn
 MOST = 256  # events between two looks at what is due
-PAGE_ITEMS = 1 << 18  # numbers in the widest column of a page: 1 MB, the most that a message may have
+REST = 60.0  # seconds after which there is a look in any case
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Question:
 
 
 class RecorderService:
-    """Records the run of a job until it is asked to stop.
+    """Records the runs of a job until it is asked to stop.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class RecorderService:
     job
         The job's name.
     path
-        The run's folder; begun where there is none.
+        The job's folder; begun where there is none.
     disk_wait
         How long a full disk is waited for [s].
     """
@@ -63,13 +64,11 @@ class RecorderService:
         self._job = job
         self._keys = Keys(job)
         self._path = path
-        self._disk_wait = disk_wait
         self._inbox: SimpleQueue[Sample | Question | None] = SimpleQueue()
         self._untaken: Counter[Verdict] = Counter()
-        self._full_since: float | None = None
-        self._trouble = ""
-        self._try_at = 0.0
-        self._report_at = 0.0
+        self._reports = Reports()
+        self._room = Room(path, disk_wait)
+        self._fetch_at = 0.0
 
     def run(self) -> None:
         """Record until asked to stop.
@@ -83,33 +82,38 @@ class RecorderService:
         """
         self._stop.tell(lambda: self._inbox.put(None))
         with ExitStack() as stack:
-            self._ledger = stack.enter_context(Ledger(self._path, self._job))
+            self._books = stack.enter_context(Books(self._path, self._job))
             stack.enter_context(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
             stack.enter_context(self._bus.answer(self._keys.open, self._ask))
             stack.enter_context(self._bus.answer(self._keys.log, self._ask))
             stack.enter_context(self._bus.token(self._keys.recorder_token(secrets.token_hex(8))))
             log.info("recording", job=self._job, folder=str(self._path))
+            self._watch(self._books.runs)
             while not self._stop.is_set:
                 self._step()
             self._hear(0.0)
             with suppress(DiskFull):
-                self._ledger.commit()
+                self._commit_due(inf)
             self._report(time.monotonic())
 
     def _step(self) -> None:
         """Hear what came, then do what is due."""
         now = time.monotonic()
-        self._hear(max(0.0, min(self._commit_at, self._report_at) - now))
+        self._hear(max(0.0, min(self._commit_at, self._reports.deadline, self._next_fetch, now + REST) - now))
         now = time.monotonic()
         if now >= self._commit_at:
             self._commit(now)
-        if now >= self._report_at:
-            self._report(now)
-            self._fetch_scene()
+        self._report(now)
+        if now >= self._next_fetch:
+            self._fetch_scenes(now)
 
     @property
     def _commit_at(self) -> float:
-        return max(self._ledger.intake.deadline, self._try_at)
+        return max(self._books.deadline, self._room.try_at)
+
+    @property
+    def _next_fetch(self) -> float:
+        return self._fetch_at if self._books.missing_scenes else inf
 
     def _hear(self, patience: float) -> None:
         """Take what is in the inbox, waiting at most `patience` seconds for the first."""
@@ -128,19 +132,20 @@ class RecorderService:
                 case Sample(encoding=kind) if kind == codec.encoding(Recordable):
                     self._take_rows(codec.decode(event.payload, Recordable))
                 case Sample(encoding=kind) if kind == codec.encoding(Platform):
-                    self._take_platform(codec.decode(event.payload, Platform))
+                    self._books.set_platform(codec.decode(event.payload, Platform))
         except (MessageError, Refused) as error:
             log.warning("dropped a message", reason=str(error))
+        except DiskFull as full:
+            self._wait_for_room(full, time.monotonic())
 
     def _take_rows(self, message: Recordable) -> None:
-        verdict = self._ledger.take(message, time.monotonic())
-        if verdict is not Verdict.TAKEN:
+        now = time.monotonic()
+        verdict = self._books.take(message, now)
+        if verdict is Verdict.TAKEN:
+            self._reports.heard(message.run, now)
+        else:
             self._untaken[verdict] += message.n
-            self._report_at = 0.0
-
-    def _take_platform(self, message: Platform) -> None:
-        if message.epoch >= self._ledger.intake.epoch:
-            self._ledger.set_platform(message.platform)
+            self._reports.news(message.run, now)
 
     def _ask(self, query: Query) -> bytes:
         """In a thread of the bus: hand the query over and wait for its answer."""
@@ -157,77 +162,74 @@ class RecorderService:
             question.answer.set_result(act(question.query.payload))
         except DiskFull as full:
             question.answer.set_exception(NoReply(str(full)))
-            self._wait_for_room(full, time.monotonic())
+            raise
         except (InputError, MessageError, Refused) as error:
             question.answer.set_exception(Refused(str(error)))
 
     def _open(self, payload: bytes) -> bytes:
         asked = codec.decode(payload, Open)
-        if asked.job != self._job or len(asked.runs) != 1:
-            raise Refused(f"this recorder keeps one run of job '{self._job}'")
-        epoch = self._ledger.open(asked.runs[0])
-        self._full_since, self._trouble, self._try_at = None, "", 0.0
-        journal = self._ledger.journal
-        log.info("opened", run=journal.run, epoch=epoch, rows=journal.count)
-        return codec.encode(Opened(epoch=epoch, durable=[journal.count], platform=journal.platform))
+        opened = self._books.open(asked)
+        self._have_room()
+        self._watch([run.run for run in asked.runs])
+        log.info("opened", runs=len(asked.runs), epoch=opened.epoch, rows=sum(opened.durable))
+        return codec.encode(opened)
+
+    def _watch(self, runs: list[str]) -> None:
+        """Report runs for a while, and fetch their scenes where they are missing."""
+        for run in runs:
+            self._reports.heard(run, time.monotonic())
+        self._fetch_at = 0.0
 
     def _page(self, payload: bytes) -> bytes:
-        asked = codec.decode(payload, Log)
-        journal = self._ledger.journal
-        if asked.run != journal.run:
-            raise Refused(f"no run '{asked.run}' is recorded here, only '{journal.run}'")
-        shape = journal.shape
-        limit = min(asked.limit, PAGE_ITEMS // max(shape.genes, shape.joints, shape.descriptors, 7))
-        page = self._ledger.page(asked.first, limit)
-        return codec.encode(to_message(page, journal.run, self._ledger.intake.epoch, shape))
+        return codec.encode(self._books.page(codec.decode(payload, Log)))
 
     def _commit(self, now: float) -> None:
         try:
-            self._ledger.commit()
+            self._commit_due(now)
         except DiskFull as full:
             self._wait_for_room(full, now)
-            return
-        if self._trouble:
-            log.info("there is room again", folder=str(self._path))
-        self._full_since, self._trouble, self._try_at = None, "", 0.0
-        self._report_at = 0.0
+        else:
+            self._have_room()
+
+    def _commit_due(self, now: float) -> None:
+        for run in self._books.due(now):
+            self._books.commit(run)
+            self._reports.news(run, now)
 
     def _wait_for_room(self, full: DiskFull, now: float) -> None:
         """Say that the disk is full, and try again soon; give up when it was full for too long."""
-        if self._full_since is None:
-            self._full_since = now
+        if not self._room.trouble:
             log.warning("the disk is full; trying again until there is room", reason=str(full))
-        elif now - self._full_since > self._disk_wait:
-            raise DiskFull(
-                f"{self._path} has had no room for {self._disk_wait:g} s; "
-                f"make room, then `qdgrasp resume {self._path}` goes on."
-            )
-        self._trouble = short(str(full))
-        self._try_at, self._report_at = now + RETRY_INTERVAL, 0.0
+        self._room.missed(short(str(full)), now)
+        for run in self._books.due(inf):
+            self._reports.news(run, now)
+
+    def _have_room(self) -> None:
+        if self._room.trouble:
+            log.info("there is room again", folder=str(self._path))
+            self._reports.repeat(time.monotonic())
+        self._room.found()
 
     def _report(self, now: float) -> None:
         """Tell the coordinator what is durable."""
-        self._report_at = now + REPORT_INTERVAL
+        for run in self._reports.due(now):
+            durable, trouble = self._books.durable(run), self._room.trouble
+            self._put(Recorded(epoch=self._books.epoch, run=run, durable=durable, trouble=trouble))
         for verdict, rows in self._untaken.items():
             log.info("rows not taken", reason=verdict.value, rows=rows)
         self._untaken.clear()
-        if not self._ledger.is_open:
-            return
-        intake, run = self._ledger.intake, self._ledger.journal.run
-        message = Recorded(epoch=intake.epoch, run=run, durable=intake.durable, trouble=self._trouble)
-        self._bus.put(
-            self._keys.recorded,
-            codec.encode(message),
-            encoding=codec.encoding(Recorded),
-            channel=Channel.CONTROL,
-        )
 
-    def _fetch_scene(self) -> None:
-        """Fetch the scene's bundle where the run was begun without it, once the coordinator shows it."""
-        digest = self._ledger.missing_scene
-        if digest is None:
-            return
-        try:
-            self._ledger.add_scene(chunks.fetch(self._bus, self._job, digest))
-        except (BusError, DiskFull, MessageError):
-            return  # the next report tries again
+    def _put(self, report: Recorded) -> None:
+        encoding = codec.encoding(Recorded)
+        self._bus.put(self._keys.recorded, codec.encode(report), encoding=encoding, channel=Channel.CONTROL)
+
+    def _fetch_scenes(self, now: float) -> None:
+        """Fetch the bundles of runs that were begun without, once the coordinator shows them."""
+        self._fetch_at = now + FETCH_INTERVAL
+        for digest in self._books.missing_scenes:
+            try:
+                self._books.add_scene(digest, chunks.fetch(self._bus, self._job, digest))
+            except (MessageError, Refused) as error:
+                log.warning("a scene was not fetched", scene=digest[:12], reason=str(error))
+            except (BusError, DiskFull):
+                return  # the next try is soon

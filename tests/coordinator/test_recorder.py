@@ -220,7 +220,7 @@ class TestOpening:
                     coordinator.open(to_toml(other))
                 with pytest.raises(Refused, match="run of scene"):
                     coordinator.open(scene="0" * 64)
-                with pytest.raises(Refused, match="one run of job 'mugs'"):
+                with pytest.raises(Refused, match="runs of job 'mugs', not of 'cubes'"):
                     coordinator.open(job="cubes")
                 with pytest.raises(Refused, match="unknown key 'sed'"):
                     coordinator.open("gripper = 'a'\nobject = 'b'\nsed = 1")
@@ -340,7 +340,7 @@ class TestRecording:
         link, run = RecorderLink(network.session(), JOB, SHAPE), Coordinator(network.session())
         with recording(network, folder.path):
             run.meet()
-            link.open(run.question(), Stop())
+            link.open(run.question(), 0, lambda: None)
         link.set_platform({"pybullet": "3.2.7"})
         link.push(Stretch(0, make_rows(10)))
         link.tick(0.0)
@@ -412,7 +412,7 @@ class TestFullDisk:
             append(journal, stretch, epoch, now)
 
         monkeypatch.setattr(JournalWriter, "append", limited)
-        monkeypatch.setattr("qdgrasp_coordinator.recorder.RETRY_INTERVAL", 0.02)
+        monkeypatch.setattr("qdgrasp_coordinator.room.RETRY_INTERVAL", 0.02)
         return room
 
     def test_it_is_said_and_waited_for_and_nothing_is_lost(
