@@ -11,9 +11,11 @@ from qdgrasp_worker.bullet import Contact
 from qdgrasp_worker.episode import Episode, Verdict
 from qdgrasp_worker.grasp import Pose
 from qdgrasp_worker.protocols import CLOSING_STEPS, PAPER, PROTOCOLS, RELEASED, TARGET_STEPS
+from qdgrasp_worker.trial import Trial
 
 PALM, FINGER, OTHER_FINGER = 5, 6, 7
 POSE = Pose([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0], [0.04, 0.03], NO_SYNERGY)
+FRICTIONS = 0.03, 0.2
 SHAKE_STEPS = 3 * TARGET_STEPS
 SHAKE_A = CLOSING_STEPS
 SHAKE_B = CLOSING_STEPS + SHAKE_STEPS
@@ -32,8 +34,8 @@ class WrittenWorld:
     finger_links: frozenset[int] = frozenset({FINGER, OTHER_FINGER})
     opened: tuple[float, ...] = (0.04, 0.04)
 
-    def reset(self, pose, posture):
-        self.told.append(("reset", list(posture)))
+    def reset(self, pose, posture, frictions):
+        self.told.append(("reset", list(posture), frictions))
 
     def set_fingers(self, posture):
         self.told.append(("fingers", list(posture)))
@@ -66,7 +68,7 @@ def during(first: int, last: int, *contacts: Contact) -> Callable[[int], list[Co
 
 
 def run(world: WrittenWorld, protocol=PAPER) -> Verdict:
-    return Episode(world, protocol).run(POSE)
+    return Episode(world, protocol).run(Trial(POSE, FRICTIONS))
 
 
 GRIP = (Contact(FINGER, -0.002), Contact(OTHER_FINGER, -0.003))
@@ -154,7 +156,7 @@ class TestPaper:
     def test_every_joint_is_set_before_the_test_for_overlap(self):
         world = WrittenWorld(during(0, 0, Contact(FINGER, -0.001)))
         run(world)
-        assert world.told == [("reset", POSE.joints), "looked"]
+        assert world.told == [("reset", POSE.joints, FRICTIONS), "looked"]
 
 
 class TestReleased:
@@ -173,4 +175,8 @@ class TestReleased:
     def test_free_joints_are_set_after_the_test_for_overlap(self):
         world = WrittenWorld(during(0, 0, Contact(FINGER, 0.001)))
         run(world, RELEASED)
-        assert world.told[:3] == [("reset", list(world.opened)), "looked", ("fingers", POSE.joints)]
+        assert world.told[:3] == [
+            ("reset", list(world.opened), FRICTIONS),
+            "looked",
+            ("fingers", POSE.joints),
+        ]

@@ -100,10 +100,10 @@ def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice
 ):
     run, poisoned = Episode.run, rows["descriptor"][poison].tolist()
 
-    def run_or_fail(episode, pose):
-        if pose.position == poisoned:
+    def run_or_fail(episode, trial):
+        if trial.pose.position == poisoned:
             episode.world.close()  # Bullet refuses every call from here on
-        return run(episode, pose)
+        return run(episode, trial)
 
     monkeypatch.setattr(Episode, "run", run_or_fail)
     with Evaluator(cube) as evaluator:
@@ -115,7 +115,7 @@ def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice
 
 
 def test_a_reason_is_cut_to_what_a_message_may_hold(evaluator, genomes, monkeypatch):
-    def fail(episode, pose):
+    def fail(episode, trial):
         raise RuntimeError("words " * 100)
 
     monkeypatch.setattr(Episode, "run", fail)
@@ -141,11 +141,20 @@ def test_a_given_quaternion_of_length_zero_fails_alone(evaluator):
     assert evaluation.rows["outcome"][1] == Outcome.MISSED
 
 
-def test_a_trial_that_the_protocol_does_not_have_fails(evaluator, genomes):
-    trials = np.array([0, 1], dtype=np.uint16)
-    [(position, reason)] = evaluator.evaluate("approach", genomes[:2], trials).failures
-    assert position == 1
-    assert "no trial but 0" in reason
+@pytest.mark.parametrize(
+    ("protocol", "last", "reason"),
+    [
+        ("paper", 0, "no trial but 0"),
+        ("released", 0, "no trial but 0"),
+        ("robust", 100, "no trial above 100"),
+    ],
+)
+def test_a_trial_that_the_protocol_does_not_have_fails(make_scene, genomes, protocol, last, reason):
+    trials = np.array([0, last, last + 1, 65535], dtype=np.uint16)
+    with Evaluator(make_scene("panda", "rubiks_cube", protocol)) as evaluator:
+        failures = dict(evaluator.evaluate("approach", genomes[:4], trials).failures)
+    assert list(failures) == [2, 3]
+    assert all(reason in failure for failure in failures.values())
 
 
 def test_an_empty_batch_gives_no_rows(evaluator, genomes):

@@ -59,8 +59,9 @@ class Target:
         urdf = OBJECT_URDF.format(mass=target.mass)
         self.body = load(bullet, urdf, {"parts.obj": target.collision}, fixed=False)
         bullet.collide(self.body, OBJECT, HAND)
-        frictions = target.lateral_friction, target.rolling_friction, target.spinning_friction
-        bullet.set_friction(self.body, *frictions)
+        self.lateral_friction = target.lateral_friction
+        self.frictions = target.rolling_friction, target.spinning_friction
+        """Its own coefficients of rolling and spinning friction."""
         self.radius = max(math.hypot(*vertex) for vertex in vertices(target.collision))
         """How far any of it is from its centre of mass [m]."""
 

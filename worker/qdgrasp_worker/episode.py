@@ -6,6 +6,7 @@ from typing import NamedTuple
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_worker.grasp import Pose
 from qdgrasp_worker.protocols import CLOSING_STEPS, TARGET_STEPS, EvaluationProtocol, Shake
+from qdgrasp_worker.trial import Trial
 from qdgrasp_worker.world import World
 
 GLANCE_EVERY = 5
@@ -40,9 +41,10 @@ class Episode:
     stops_early: bool = True
     """Whether closing ends when the object has left; it changes no verdict."""
 
-    def run(self, pose: Pose) -> Verdict:
-        """Evaluate one pose, from a clean start."""
-        if self._overlaps(pose):
+    def run(self, trial: Trial) -> Verdict:
+        """Evaluate one trial, from a clean start."""
+        pose = trial.pose
+        if self._overlaps(trial):
             return Verdict(Outcome.OVERLAP, pose.joints)
         touched = self._close(pose)
         fingers = self._touching_fingers()
@@ -51,10 +53,11 @@ class Episode:
         joints, depth = self.world.fingers(), self._penetration()
         return Verdict(FITNESS[self._shakes_survived()], joints, len(fingers), depth)
 
-    def _overlaps(self, pose: Pose) -> bool:
+    def _overlaps(self, trial: Trial) -> bool:
         """Place the open hand; whether any link of it is inside the object."""
+        pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened
-        self.world.reset(pose, first)
+        self.world.reset(pose, first, trial.frictions)
         overlaps = any(contact.distance < 0.0 for contact in self.world.contacts())
         if not self.protocol.free_joints_first:
             self.world.set_fingers(pose.joints)

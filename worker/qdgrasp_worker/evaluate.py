@@ -49,6 +49,7 @@ class Evaluator:
         if scene.protocol not in PROTOCOLS:
             raise UnknownName("protocol", scene.protocol, PROTOCOLS)
         self.scene = scene
+        self._protocol = PROTOCOLS[scene.protocol]
         self._surface = Surface(scene)
         self._decoders: dict[str, Decoder] = {}
         self._world = World(scene)
@@ -78,9 +79,8 @@ class Evaluator:
         grasps = self._decoder(prior)(genomes)
         rows = self.shape(prior).empty(len(genomes))
         rows["genome"], rows["trial"] = genomes, trials
-        found = [
-            refusal or self._verdict(grasps, i) for i, refusal in enumerate(refusals(genomes, trials, grasps))
-        ]
+        refused = refusals(genomes, trials, grasps, self._protocol.trials)
+        found = [reason or self._verdict(grasps, i, int(trials[i])) for i, reason in enumerate(refused)]
         verdicts = {i: verdict for i, verdict in enumerate(found) if isinstance(verdict, Verdict)}
         fill(rows, grasps, verdicts)
         failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
@@ -91,25 +91,27 @@ class Evaluator:
             self._decoders[prior] = Decoder(self.scene, prior, self._surface)
         return self._decoders[prior]
 
-    def _verdict(self, grasps: Grasps, i: int) -> Verdict | str:
+    def _verdict(self, grasps: Grasps, i: int, trial: int) -> Verdict | str:
         """What an episode finds, or the reason why it failed; the next one starts in a new world then."""
         pose = grasps[i]
         if grasps.dead_ends[i]:
             return Verdict(Outcome.DEAD_END, pose.joints)
         try:
-            return Episode(self._world, PROTOCOLS[self.scene.protocol]).run(pose)
+            return Episode(self._world, self._protocol).run(self._protocol.trial(pose, trial))
         except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
             self._world.close()
             self._world = World(self.scene)
             return f"{type(error).__name__}: {error}"
 
 
-def refusals(genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: Grasps) -> list[str]:
-    """For each row the reason why it cannot be evaluated; empty where it can."""
+def refusals(
+    genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: Grasps, last: int
+) -> list[str]:
+    """For each row the reason why it cannot be evaluated; empty where it can. `last` is the last trial."""
     finite = np.isfinite(genomes).all(axis=1) & grasps.are_finite
     reasons = {
         "the genome stands for no pose: it holds, or leads to, numbers that are not finite": ~finite,
-        "this evaluation protocol has no trial but 0": trials > 0,
+        f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}": trials > last,
     }
     return [next((reason for reason, holds in reasons.items() if holds[i]), "") for i in range(len(trials))]
 

@@ -13,6 +13,7 @@ import qdgrasp_assets.scene
 import qdgrasp_protocol.genome
 import qdgrasp_protocol.outcome
 import qdgrasp_protocol.rows
+import qdgrasp_protocol.trials
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import RESULT, pack
@@ -27,6 +28,7 @@ CONTRACTS = (
     qdgrasp_protocol.genome,
     qdgrasp_protocol.outcome,
     qdgrasp_protocol.rows,
+    qdgrasp_protocol.trials,
 )
 """Modules of other rooms that an evaluation reads its input by and writes its result by."""
 PROBES = 16

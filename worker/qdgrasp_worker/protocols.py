@@ -4,8 +4,12 @@ Common to all of them: no gravity, 240 steps a second, 100 steps of closing, the
 targets of 68 steps each. Figures are those of the public code of Huber et al. 2024 (commit 0b8f8da).
 """
 
-from dataclasses import dataclass
-from math import pi
+from dataclasses import dataclass, replace
+from math import pi, radians
+
+from qdgrasp_protocol import trials
+from qdgrasp_worker.grasp import Pose
+from qdgrasp_worker.trial import Mixture, Trial
 
 CLOSING_STEPS = 100
 TARGET_STEPS = 68
@@ -43,6 +47,17 @@ class EvaluationProtocol:
     """Whether an object that one shake lost is spared the next."""
     free_joints_first: bool
     """Whether the free joints take their places before the test for overlap, or after it."""
+    mixture: Mixture | None = None
+    """What trials from 1 on are drawn from; None: there are none."""
+
+    @property
+    def trials(self) -> int:
+        """How many trials there are besides trial 0, the nominal one."""
+        return trials.trials(self.name)
+
+    def trial(self, pose: Pose, number: int) -> Trial:
+        """A grasp in one of its trials; 0 is the grasp as it was commanded."""
+        return self.mixture.trial(pose, number) if self.mixture and number else Trial(pose)
 
 
 SHAKES = (
@@ -53,4 +68,6 @@ RELEASED = EvaluationProtocol(
     "released", SHAKES, look_every=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
 )
 PAPER = EvaluationProtocol("paper", SHAKES, look_every=1, ends_when_lost=True, free_joints_first=True)
-PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED)}
+MIXTURE = Mixture(position_sigma=0.005, angle_sigma=radians(30.0), rolling=(0.01, 0.04), spinning=(0.1, 0.4))
+ROBUST = replace(PAPER, name="robust", mixture=MIXTURE)
+PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST)}

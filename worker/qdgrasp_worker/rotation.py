@@ -64,6 +64,12 @@ def multiply(a: Floats, b: Floats) -> Floats:
     )
 
 
+def rotate(quaternions: Floats, vectors: Floats) -> Floats:
+    """The vectors (..., 3) turned by unit `quaternions` (..., 4)."""
+    pure = np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 1))], axis=-1)
+    return multiply(multiply(quaternions, pure), conjugate(quaternions))[..., :3]
+
+
 def conjugate(quaternions: Floats) -> Floats:
     """The inverse rotations (n, 4)."""
     inverse: Floats = quaternions * np.array([-1.0, -1.0, -1.0, 1.0])
@@ -89,3 +95,15 @@ def from_frame(x: Floats, y: Floats, z: Floats) -> Floats:
     quaternions = unit(products[largest, :, np.arange(len(largest))])
     positive: Floats = np.where(quaternions[:, 3:] < 0.0, -quaternions, quaternions)
     return positive
+
+
+def from_euler(angles: Floats) -> Floats:
+    """The rotations (n, 4) about the fixed axes x, then y, then z by `angles` (n, 3) [rad]."""
+    x, y, z = (_about(axis, angles[:, axis]) for axis in range(3))
+    return multiply(z, multiply(y, x))
+
+
+def _about(axis: int, angles: Floats) -> Floats:
+    quaternions = np.zeros((len(angles), 4))
+    quaternions[:, axis], quaternions[:, 3] = np.sin(angles / 2.0), np.cos(angles / 2.0)
+    return quaternions

@@ -39,17 +39,22 @@ class World:
         """Leave Bullet and free the world; closing twice is allowed."""
         self._bullet.close()
 
-    def reset(self, pose: Pose, posture: Sequence[float]) -> None:
+    def reset(
+        self, pose: Pose, posture: Sequence[float], frictions: tuple[float, float] | None = None
+    ) -> None:
         """Put hand and object in place, at rest, with nothing left of what happened before.
+
+        `frictions` are the object's coefficients of rolling and spinning friction; None: its own.
 
         In this order the same pose gives the same bits whatever came before: a collision detection with
         the hand away empties Bullet's cache of contacts, which would otherwise be carried over.
         """
-        bullet, hand = self._bullet, self._hand
+        bullet, hand, target = self._bullet, self._hand, self._target
         bullet.place(hand.body, AWAY, UPRIGHT)
         bullet.set_joints(hand.body, self._joints, [*self._at_zero, *posture])
-        bullet.place(self._target.body, STILL, UPRIGHT)
-        bullet.halt(self._target.body)
+        bullet.place(target.body, STILL, UPRIGHT)
+        bullet.halt(target.body)
+        bullet.set_friction(target.body, target.lateral_friction, *(frictions or target.frictions))
         bullet.detect()
         bullet.place(hand.body, pose.position, pose.quaternion)
         bullet.detect()

@@ -9,7 +9,7 @@ import numpy as np
 
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.priors.prior import Poses, Prior
-from qdgrasp_worker.rotation import Floats, multiply
+from qdgrasp_worker.rotation import Floats, from_euler
 from qdgrasp_worker.surface import Surface
 
 
@@ -34,18 +34,6 @@ class Spherical(Prior):
             np.zeros(n),
             np.zeros(n, dtype=bool),
         )
-
-
-def from_euler(angles: Floats) -> Floats:
-    """The rotations (n, 4) about the fixed axes x, then y, then z by `angles` (n, 3) [rad]."""
-    x, y, z = (_about(axis, angles[:, axis]) for axis in range(3))
-    return multiply(z, multiply(y, x))
-
-
-def _about(axis: int, angles: Floats) -> Floats:
-    quaternions = np.zeros((len(angles), 4))
-    quaternions[:, axis], quaternions[:, 3] = np.sin(angles / 2.0), np.cos(angles / 2.0)
-    return quaternions
 
 
 SPHERICAL = Spherical()
