@@ -27,7 +27,13 @@ def growth(rows: Rows, overlaps: Overlaps = "count") -> Growth:
     """Sum along rows in journal order; trials above 0 add nothing."""
     success = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
     places = np.flatnonzero(success)
-    _, first = np.unique(keys(cells(rows["descriptor"][places])), return_index=True)
     new = np.zeros(len(rows), dtype=bool)
-    new[places[first]] = True
+    new[places] = first_times(keys(cells(rows["descriptor"][places])))
     return Growth(*(np.cumsum(np.r_[0, steps]) for steps in (counted(rows, overlaps), success, new)))
+
+
+def first_times(keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Where each number (n,) occurs for the first time: (n,)."""
+    first = np.zeros(len(keys), dtype=bool)
+    first[np.unique(keys, return_index=True)[1]] = True
+    return first

@@ -81,8 +81,8 @@ def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> No
 def _hands(axes: Axes, view: View, successes: Rows) -> None:
     _show(axes, view)
     _caption(axes, _choice_in_words(view.shown, successes))
-    _scale(axes, view)
-    _triad(axes, view)
+    scale_bar(axes, view)
+    triad(axes, view)
 
 
 def _choice_in_words(shown: Rows, successes: Rows) -> str:
@@ -95,7 +95,7 @@ def _choice_in_words(shown: Rows, successes: Rows) -> str:
 
 def _cells(axes: Axes, view: View) -> None:
     _show(axes, view)
-    _scale(axes, view)
+    scale_bar(axes, view)
     heading = f"{len(view.shown):,} cells of 1 cm where the hand had a success"
     axes.set_title(heading + ("" if view.whole else ", cut open"), size=13, color=INK, loc="left", pad=4)
     fitness = np.clip(view.shown["fitness"], 0, 2).astype(int)
@@ -137,7 +137,7 @@ def _caption(axes: Axes, words: str) -> None:
     axes.text(0.5, 0.0, words, transform=axes.transAxes, size=13, color=FAINT, ha="center", va="bottom")
 
 
-def _scale(axes: Axes, view: View) -> None:
+def scale_bar(axes: Axes, view: View) -> None:
     """A bar of 5 cm in the lower right corner."""
     rows, columns, _ = view.image.shape
     length = BAR / (view.camera.step * FINE)
@@ -146,7 +146,7 @@ def _scale(axes: Axes, view: View) -> None:
     axes.text(right - length / 2, low - 0.012 * rows, "5 cm", size=11, color=FAINT, ha="center", va="bottom")
 
 
-def _triad(axes: Axes, view: View) -> None:
+def triad(axes: Axes, view: View) -> None:
     """The axes of the object's frame in the lower left corner."""
     rows, columns, _ = view.image.shape
     x, y, length = 0.075 * columns, 0.93 * rows, 0.05 * rows

@@ -74,14 +74,19 @@ def released_archive(scene: Scene) -> ReleasedArchive | None:
     The cube stands around the object's bounding box as it was while the mesh frame lay at the origin. The
     object is moved to its centre of mass afterwards, the cube is not.
     """
-    hand = scene.gripper.name.removeprefix("ref_")
-    extent = HAND_EXTENT.get(SAME_HAND.get(hand, hand))
+    extent = HAND_EXTENT.get(reference_hand(scene.gripper.name))
     if extent is None:
         return None
     hulls = _hull_vertices(scene.object.collision) + np.array(scene.object.com_in_mesh)
     low, high = hulls.min(axis=0) - BULLET_MARGIN, hulls.max(axis=0) + BULLET_MARGIN
     side = extent + float((high - low).max())
     return ReleasedArchive((low + high) / 2 - side / 2, side)
+
+
+def reference_hand(gripper: str) -> str:
+    """The reference hand that a gripper is or stands for; its own name where it is none of them."""
+    hand = gripper.removeprefix("ref_")
+    return SAME_HAND.get(hand, hand)
 
 
 def _hull_vertices(obj: bytes) -> NDArray[np.float64]:

@@ -77,17 +77,27 @@ def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) ->
     return View(image.finished(), image.camera, chosen)
 
 
-def view_of_cells(scene: Scene, best: Rows, azimuth: float, pixels: int) -> View:
-    """The object, and a cube for the cell of each of the rows `best`, which are in distinct cells."""
-    places, fitness = cells(best["descriptor"]), np.clip(best["fitness"], 0, 2).astype(int)
+def view_of_cells(scene: Scene, best: Rows, azimuth: float, pixels: int, hues: Floats | None = None) -> View:
+    """The object, and a cube for the cell of each of the rows `best` (n,), which are in distinct cells.
+
+    The cubes have the colours `hues` (n, 3) RGB; None: those of their fitness.
+    """
+    places = cells(best["descriptor"])
+    hues = hues_of_fitness(best["fitness"]) if hues is None else hues
     thing = object_mesh(scene)
     image = Image(_camera([thing, _cubes(places)], azimuth, pixels))
     right, _, toward = image.camera.seen(places / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (len(places) <= CUT_OPEN)
-    cubes = np.array([rgb(colour) for colour in FITNESS])[np.repeat(fitness[kept], len(CUBE_FACES))]
+    cubes = np.repeat(hues[kept], len(CUBE_FACES), axis=0)
     clay = np.tile(rgb(CLAY), (len(thing.faces), 1))
     paint_solid(image, Solid(join([thing, _cubes(places[kept])])), np.concatenate([clay, cubes]))
     return View(image.finished(), image.camera, best, bool(kept.all()))
+
+
+def hues_of_fitness(fitness: NDArray[np.number]) -> Floats:
+    """The colours (n, 3) of cells by their best fitness (n,)."""
+    hues: Floats = np.array([rgb(colour) for colour in FITNESS])[np.clip(fitness, 0, 2).astype(int)]
+    return hues
 
 
 def best_in_cells(successes: Rows) -> Rows:

@@ -5,6 +5,7 @@ import logging
 import typer
 
 from qdgrasp_coordinator.cli import (
+    analyse,
     asset,
     coverage,
     digest,
@@ -28,6 +29,7 @@ app = typer.Typer(
 )
 for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evaluate, coverage.coverage):
     app.command()(command)
+app.command()(analyse.analyse)
 app.command()(methods.methods)
 app.command()(doctor.doctor)
 app.add_typer(asset.app, name="asset")

@@ -1,0 +1,173 @@
+"""The page of an analysis, `tables.md`: claims, captions and figures in words."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from qdgrasp_coordinator.analysis.bootstrap import LEVEL, RESAMPLES, Interval
+from qdgrasp_coordinator.analysis.claims import Judged
+from qdgrasp_coordinator.analysis.entries import Entry, SceneName
+from qdgrasp_coordinator.analysis.findings import FEW, Finding
+from qdgrasp_coordinator.analysis.tables import Row, method_rows
+
+CAPTIONS = {
+    "coverage": "Every method over its evaluations: median over seeds and interquartile range. Coverage is "
+    "de-duplicated (distinct entries of S_G found, over its size); where a scene has no S_G, success cells "
+    "of 1 cm are counted instead and the panel says so. `coverage.csv` has the count as published beside it.",
+    "priors": "The same, prior by prior; grey: the other priors.",
+    "nu": "How successes lean from the surface normal: mean over scenes of the mean over runs. Dashed: pi/4. "
+    "Antipodal hands stand beside the line between their two points, with nu near pi/2 by construction: "
+    "they are in `nu.csv` alone.",
+    "voxels": "Cells of 1 cm with a success, by the most robust one in each, in the run with the median "
+    "number of cells.",
+}
+FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
+    "evaluations": ("evaluations", lambda x: f"{x:,.0f}"),
+    "successes": ("successes", lambda x: f"{x:,.0f}"),
+    "cells": ("cells", lambda x: f"{x:,.0f}"),
+    "robust_cells": ("robust cells", lambda x: f"{x:,.0f}"),
+    "qd_score": ("QD score", lambda x: f"{x:,.0f}"),
+    "success_share": ("success share", lambda x: f"{x:.1%}"),
+    "coverage": ("cvg, de-duplicated", lambda x: f"{x:.2%}"),
+    "published": ("cvg as published", lambda x: f"{x:.2%}"),
+    "robust": ("robust cvg", lambda x: f"{x:.2%}"),
+    "nu_below_quarter_pi": ("nu < pi/4", lambda x: f"{x:.0%}"),
+    "eta": ("eta", lambda x: f"{x:.2f}"),
+    "rate": ("evaluations per CPU s", lambda x: f"{x:,.0f}" if x >= 10 else f"{x:.2g}"),
+    "cpu_seconds": ("CPU s", lambda x: f"{x:,.0f}"),
+}
+"""Columns of a scene's table, with how their numbers are written."""
+
+
+def page(name: str, entries: Sequence[Entry], claims: Sequence[Judged], figures: Mapping[str, str]) -> str:
+    """All of an analysis in words; `figures` says why one was left out."""
+    parts = [
+        f"# {name}\n",
+        _overview(entries),
+        "## What the paper claims\n",
+        _claims(claims),
+        *(_figure(figure, missing) for figure, missing in figures.items()),
+        "## Methods\n",
+        "Median over runs that have begun [first quartile, third quartile]; *n* is the number of runs. "
+        "`methods.csv` and `runs.csv` have the numbers. Coverage is of S_G; robust coverage is of its "
+        "entries of fitness 2, by successes of fitness 2.\n",
+        *_scenes(entries),
+    ]
+    return "\n".join(parts)
+
+
+def _overview(entries: Sequence[Entry]) -> str:
+    runs = [run for entry in entries for run in entry.runs]
+    scenes = {entry.scene for entry in entries}
+    open_ = [
+        f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})"
+        for run in runs
+        if not run.complete
+    ]
+    words = f"{len(runs)} runs on {len(scenes)} scenes, {sum(run.evaluations for run in runs):,} evaluations."
+    return f"{words}{f' Unfinished: {chr(44).join(open_)}.' if open_ else ''}\n".replace(",`", ", `")
+
+
+def _claims(claims: Sequence[Judged]) -> str:
+    summary = markdown(
+        ("", "claim", "verdict", "what agreeing means"),
+        [(one.claim.letter, one.claim.words, _verdict(one), one.claim.criterion) for one in claims],
+    )
+    numbers = markdown(
+        ("", "number", "value", f"{LEVEL:.0%} interval", "this number", "evaluations", "scenes", "runs"),
+        [
+            (
+                one.claim.letter,
+                f"`{found.subject}`: {found.statistic}",
+                *_number(found.interval),
+                verdict,
+                *_behind(found),
+            )
+            for one in claims
+            for found, verdict in _judged(one)
+        ],
+    )
+    notes = (
+        f"Intervals: hierarchical bootstrap, {RESAMPLES:,} resamples of scenes and of the runs in each. "
+        "With one scene they speak of that scene alone. Methods are compared after as many evaluations, "
+        "with finished runs only where there are any.\n\n"
+        f"\\* Fewer than {FEW} runs: such an interval is narrower than it says, and its verdict is "
+        "provisional; of two runs, it reaches from one to the other.\n"
+    )
+    return "\n".join([summary, numbers, notes])
+
+
+def _verdict(one: Judged) -> str:
+    lacking = (
+        f" ({one.absent} of {len(one.claim.methods)} numbers not in this campaign)" if one.absent else ""
+    )
+    return f"**{one.verdict.value}**{lacking if one.findings else ''}"
+
+
+def _judged(one: Judged) -> Iterable[tuple[Finding, str]]:
+    for found in one.findings:
+        yield found, one.claim.band.verdict(found.interval).value + (" \\*" if found.is_of_few else "")
+    for found in one.beside:
+        yield found, "to compare with"
+
+
+def _number(found: Interval) -> tuple[str, str]:
+    interval = f"{found.low:.3g} to {found.high:.3g}" if found.is_known else "none: one run"
+    return f"{found.value:.3g}", interval
+
+
+def _behind(found: Finding) -> tuple[str, str, str]:
+    low, high = min(found.evaluations), max(found.evaluations)
+    ends = f"{low:,}" if low == high else f"{low:,} to {high:,}"
+    return ends, str(found.interval.scenes), " / ".join(map(str, found.interval.runs))
+
+
+def _figure(name: str, missing: str) -> str:
+    if missing:
+        return f"## {name.capitalize()}\n\nNot drawn: {missing}.\n"
+    return f"## {name.capitalize()}\n\n![{name}]({name}.png)\n\n{CAPTIONS[name]}\n"
+
+
+def _scenes(entries: Sequence[Entry]) -> Iterable[str]:
+    scenes: dict[SceneName, list[Entry]] = {}
+    for entry in entries:
+        scenes.setdefault(entry.scene, []).append(entry)
+    for scene, here in scenes.items():
+        yield f"### {scene.words}\n"
+        yield _target_words(here[0])
+        yield _methods(here)
+
+
+def _target_words(entry: Entry) -> str:
+    target = entry.target
+    if not target.size:
+        return f"No coverage: {target.why}.\n"
+    mark = ", by a stand-in for the scan" if target.stand_in else ""
+    return f"S_G has {target.size:,} entries{mark}.\n"
+
+
+def _methods(entries: Sequence[Entry]) -> str:
+    rows = method_rows(entries)
+    shown = [name for name in FIGURES if any(row[name] is not None for row in rows)]
+    body = [
+        (entry.name, _runs(entry), *(_quartiles(row, name) for name in shown))
+        for entry, row in zip(entries, rows, strict=True)
+    ]
+    return markdown(("method", "n", *(FIGURES[name][0] for name in shown)), body)
+
+
+def _runs(entry: Entry) -> str:
+    return f"{len(entry.runs)}{f', {entry.unfinished} unfinished' if entry.unfinished else ''}"
+
+
+def _quartiles(row: Row, name: str) -> str:
+    values: list[Any] = [row[name], row[f"{name}_q1"], row[f"{name}_q3"]]
+    if values[0] is None:
+        return ""
+    median, low, high = map(FIGURES[name][1], values)
+    return median if low == high == median else f"{median} [{low}, {high}]"
+
+
+def markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

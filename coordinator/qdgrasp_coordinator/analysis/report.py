@@ -1,0 +1,152 @@
+"""Reports: the four figures and the tables of a campaign, written into a folder.
+
+* `coverage`  (.png, .svg, .csv): every method over its evaluations
+* `priors`    the same, prior by prior
+* `nu`        how successes lean from the surface normal
+* `voxels`    where one method had successes, and how robust they are
+* `runs.csv`, `methods.csv`, `claims.csv`, and `tables.md` with all of it in words
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from qdgrasp_coordinator import disk
+from qdgrasp_coordinator.analysis.claims import Judged, judged
+from qdgrasp_coordinator.analysis.curve_figures import Panel, draw_curves, draw_matrix, panels
+from qdgrasp_coordinator.analysis.entries import Entry, entries, histories, run_folders
+from qdgrasp_coordinator.analysis.nu_figure import draw_nu, leans
+from qdgrasp_coordinator.analysis.page import page
+from qdgrasp_coordinator.analysis.palette import family_of
+from qdgrasp_coordinator.analysis.sheet import Sheet
+from qdgrasp_coordinator.analysis.tables import (
+    Row,
+    claim_rows,
+    csv_text,
+    curve_rows,
+    method_rows,
+    nu_rows,
+    run_rows,
+    voxel_rows,
+)
+from qdgrasp_coordinator.analysis.target import Targets
+from qdgrasp_coordinator.analysis.voxel_figure import draw_voxels, drawn_method, voxels
+from qdgrasp_protocol.errors import FolderError, UnknownName
+
+OUT = "analysis"
+SUFFIXES = (".png", ".svg", ".csv")
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found and written."""
+
+    out: Path
+    entries: list[Entry]
+    claims: list[Judged]
+    figures: dict[str, str]
+    """By name, why a figure was left out; empty for those that were drawn."""
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The figures that were not drawn, and why."""
+        return {name: why for name, why in self.figures.items() if why}
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return sum(len(entry.runs) for entry in self.entries)
+
+    @property
+    def unfinished(self) -> int:
+        """How many of them have not spent their budget."""
+        return sum(entry.unfinished for entry in self.entries)
+
+
+def report(
+    path: Path, out: Path, *, references: Sequence[Path] = (), method: str | None = None, log: bool = False
+) -> Report:
+    """Draw and tabulate a campaign, also while it goes on.
+
+    Parameters
+    ----------
+    path
+        A campaign's folder, a folder of run folders, or one run's folder.
+    out
+        The folder that is written to; made where there is none.
+    references
+        Reference sets that are looked at before the published ones on the asset path.
+    method
+        The method whose cells are drawn; None: contact_me_scs, or what found the most cells.
+    log
+        Whether curves are on logarithmic axes.
+
+    Raises
+    ------
+    FolderError
+        There is no run, none has recorded an evaluation, one cannot be read, or `out` cannot be written.
+    UnknownName
+        No run is of this method; those that there are are named.
+    """
+    arms = entries(histories(run_folders(path), Targets(references)))
+    begun = [entry for entry in arms if any(run.evaluations for run in entry.runs)]
+    if not begun:
+        raise FolderError(f"No run in {path} has recorded an evaluation yet; there is nothing to draw.")
+    methods = sorted({entry.method for entry in arms})
+    if method is not None and method not in methods:
+        raise UnknownName("method in this campaign", method, methods)
+    claims = judged(begun)
+    with disk.writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        figures = _draw(begun, out, method, log)
+        tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
+        for name, rows in tables.items():
+            _write(out / f"{name}.csv", csv_text(rows))
+        _write(out / "tables.md", page(path.absolute().name, arms, claims, figures))
+    return Report(out, arms, claims, figures)
+
+
+def _draw(begun: Sequence[Entry], out: Path, method: str | None, log: bool) -> dict[str, str]:
+    """Draw the four figures, or say why there is none."""
+    shown = panels(begun)
+    curves = [one for panel in shown for one in panel.curves]
+    matrix = _with_search(shown)
+    leaning = leans(begun)
+    drawn = method or drawn_method(begun)
+    seen = voxels(begun, drawn) if drawn else []
+    return {
+        "coverage": _put(out / "coverage", draw_curves(shown, log=log), curve_rows(curves)),
+        "priors": _put(
+            out / "priors",
+            draw_matrix(matrix, log=log) if matrix else "no run is of a search with quality and diversity",
+            curve_rows([one for panel in matrix for one in panel.curves]),
+        ),
+        "nu": _put(
+            out / "nu", draw_nu(leaning) if leaning else "no success looks at a surface point", nu_rows(begun)
+        ),
+        "voxels": _put(
+            out / "voxels",
+            draw_voxels(seen, drawn) if seen and drawn else "nothing was found",
+            [row for one in seen for row in voxel_rows(one)],
+        ),
+    }
+
+
+def _with_search(shown: Sequence[Panel]) -> list[Panel]:
+    """The scenes with more than plain sampling."""
+    return [panel for panel in shown if any(family_of(one.entry.method) != "rand" for one in panel.curves)]
+
+
+def _put(stem: Path, sheet: Sheet | str, rows: Sequence[Row]) -> str:
+    """Write a figure and its data; or remove those of an earlier analysis, and return why there is none."""
+    if isinstance(sheet, str):
+        for suffix in SUFFIXES:
+            stem.with_suffix(suffix).unlink(missing_ok=True)
+        return sheet
+    sheet.write(stem)
+    _write(stem.with_suffix(".csv"), csv_text(rows))
+    return ""
+
+
+def _write(file: Path, text: str) -> None:
+    disk.write(file, text.encode())

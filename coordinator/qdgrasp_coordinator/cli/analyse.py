@@ -1,0 +1,42 @@
+"""`qdgrasp analyse`: the figures and tables of a campaign."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from qdgrasp_coordinator.cli import options
+
+
+def analyse(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A campaign's folder, or any folder of run folders.")
+    ],
+    out: Annotated[Path | None, typer.Option(help="Where to write; default DIR/analysis.")] = None,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option(help="A reference set of one's own; may be given again. The published ones need none."),
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="Whose cells are drawn; default contact_me_scs.")] = None,
+    log: Annotated[bool, typer.Option("--log", help="Curves on logarithmic axes.")] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Draw and tabulate what the runs of a campaign found, and hold the paper's claims against them.
+
+    Writes four figures as PNG, SVG and CSV, and the tables as Markdown and CSV; also while runs go on.
+
+    Example: qdgrasp analyse campaigns/paper-small
+    """
+    from qdgrasp_coordinator.analysis.report import OUT, report  # matplotlib takes its time
+
+    found = report(directory, out or directory / OUT, references=reference or (), method=method, log=log)
+    verdicts = {one.claim.letter: one.verdict.value for one in found.claims}
+    if as_json:
+        values = {"out": str(found.out), "runs": found.runs, "unfinished": found.unfinished}
+        typer.echo(json.dumps({**values, "claims": verdicts, "left_out": found.left_out}))
+        return
+    for one in found.claims:
+        typer.echo(f"({one.claim.letter}) {one.claim.words}: {one.verdict.value}.")
+    mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
+    typer.echo(f"{found.runs} runs{mark}. Figures and tables: {found.out / 'tables.md'}")
