@@ -102,11 +102,25 @@ def _find_target(spec: RunSpec) -> Target:
         return stand_in(name)
     if name in ycb.SCANS:
         return ycb.read_scan(name, spec.protocol)
-    path = Path(name).expanduser()
-    if not _is_file(path):
+    check_object(name)
+    return read_target(Path(name).expanduser(), spec.mass)
+
+
+def check_object(name: str) -> None:
+    """Check that a name is an object's: a stand-in, a scan that is there, or a file.
+
+    Raises
+    ------
+    UnknownName
+        It is none of these.
+    AssetError
+        It is a scan's, which is not there.
+    """
+    if name in ycb.SCANS:
+        ycb.check_there(name)
+    elif name not in STAND_INS and not _is_file(Path(name).expanduser()):
         hint = f"Or name a mesh file in metres, with its mass. Scans lie on the asset path ({searched()})."
         raise UnknownName("object", name, object_names(), hint)
-    return read_target(path, spec.mass)
 
 
 def gripper_names() -> tuple[str, ...]:

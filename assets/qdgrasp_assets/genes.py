@@ -16,6 +16,10 @@ NU_A = np.pi / 4
 """Half-aperture of the approach cone (Huber et al. 2024, section III-A)."""
 
 
+ANTIPODAL = "antipodal"
+"""The prior that needs a two-finger hand."""
+
+
 def layout(scene: Scene, prior: str) -> Layout:
     """The genes that a prior has with this scene: the prior's own, then the synergy, then the free joints.
 
@@ -79,7 +83,7 @@ def _approach(scene: Scene) -> Genes:
 def _antipodal(scene: Scene) -> Genes:
     """The genes theta = (x_r1, y_r1, z_r1, Omega), Huber et al. 2024, eq. 4."""
     if scene.gripper.jaw is None:
-        raise JawNeeded("antipodal", scene.gripper.name)
+        raise JawNeeded(ANTIPODAL, scene.gripper.name)
     return (*_finder(scene), Gene("Omega", 0.0, 2 * np.pi))
 
 
@@ -93,7 +97,7 @@ def _spherical(scene: Scene) -> Genes:
 
 OWN: dict[str, Callable[[Scene], Genes]] = {
     GIVEN: _given,
-    "antipodal": _antipodal,
+    ANTIPODAL: _antipodal,
     "approach": _approach,
     "contact": _contact,
     "spherical": _spherical,

@@ -49,17 +49,28 @@ def read_scan(name: str, protocol: str) -> Target:
     folder = _folder(name)
     if folder is not None:
         return _of_reference(name, folder, protocol)
-    if not scans.fetched_mesh(name).is_file():
-        raise AssetError(
-            f"The object '{name}' is a scan of the reference data (objects/{name.removeprefix(PREFIX)}), "
-            f"which is not there: {searched()}; `qdgrasp asset fetch {name}` fetches it from the YCB set."
-        )
+    check_there(name)
     if protocol == "released":
         raise AssetError(
             "The protocol 'released' needs the collision hulls of the reference data, which the fetched scan "
             f"'{name}' does not have: {searched()}; use the protocol 'paper'."
         )
     return _of_fetched(name)
+
+
+def check_there(name: str) -> None:
+    """Check that the scan `name` of `SCANS` is there.
+
+    Raises
+    ------
+    AssetError
+        It is not.
+    """
+    if _folder(name) is None and not scans.fetched_mesh(name).is_file():
+        raise AssetError(
+            f"The object '{name}' is a scan of the reference data (objects/{name.removeprefix(PREFIX)}), "
+            f"which is not there: {searched()}; `qdgrasp asset fetch {name}` fetches it from the YCB set."
+        )
 
 
 def _folder(name: str) -> Path | None:

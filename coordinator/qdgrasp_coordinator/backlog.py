@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from qdgrasp_coordinator.batch import Batch
 from qdgrasp_coordinator.pace import Pace
 
+GUESS = 0.01
+"""What a row is expected to cost before one of its run was measured [CPU s]."""
 SLACK = 5.0
 """How many CPU seconds a run may be ahead of the others on workers that hold its scene."""
 
@@ -33,6 +35,11 @@ class Backlog:
     def __len__(self) -> int:
         """How many rows wait."""
         return sum(len(queue) for queue in self._queues.values())
+
+    @property
+    def seconds(self) -> float:
+        """What the waiting rows are expected to cost [CPU s]."""
+        return sum(len(queue) * (queue.pace.seconds_per_row or GUESS) for queue in self._queues.values())
 
     def submit(self, chunk: Batch) -> None:
         """Take rows of one generation that were never leased."""

@@ -190,6 +190,11 @@ class Dispatch:
         return len(self._backlog)
 
     @property
+    def queued_seconds(self) -> float:
+        """What these rows are expected to cost [CPU s]."""
+        return self._backlog.seconds
+
+    @property
     def leased(self) -> int:
         """Batches that workers hold."""
         return self._tickets.held

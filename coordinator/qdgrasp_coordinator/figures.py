@@ -1,6 +1,7 @@
 """The figures of a running search: defined once, published about once a second, shown by whoever listens."""
 
 import json
+from typing import TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -39,15 +40,42 @@ class Figures(Struct, frozen=True, kw_only=True):
     trouble: str = ""
     """What keeps the run from going on, in words; empty when nothing does."""
 
+
+class JobFigures(Struct, frozen=True, kw_only=True):
+    """How far a job is with all of its runs. Travels as JSON on `stat/job`."""
+
+    job: str
+    runs: int
+    runs_done: int
+    """Finished and recorded, also by earlier coordinators."""
+    runs_failed: int
+    """Which cannot be carried out."""
+    runs_open: int
+    """In progress."""
+    evaluations: int
+    """Counted evaluations of all runs."""
+    budget: int
+    successes: int
+    cells: int
+    """Distinct 1 cm cells with a success, summed over the runs."""
+    workers: int
+    """Workers that have joined."""
+    seconds: float
+    """Since the coordinator started."""
+    rate: float
+    """Counted evaluations per second since then, replayed ones apart."""
+    trouble: str = ""
+    """What keeps the job from going on, in words; empty when nothing does."""
+
     @property
     def words(self) -> str:
         """One line for a person."""
+        runs = f"{self.runs_done} of {self.runs} runs, " if self.runs > 1 else ""
+        done = f"{runs}{self.evaluations} of {self.budget} evaluations"
         if self.trouble:
-            return f"{self.evaluations} of {self.budget} evaluations, paused: {self.trouble}"
-        return (
-            f"{self.evaluations} of {self.budget} evaluations, {self.rate:.0f}/s, "
-            f"{self.successes} successes in {self.cells} cells, {self.workers} workers"
-        )
+            return f"{done}, paused: {self.trouble}"
+        found = f"{self.successes} successes in {self.cells} cells"
+        return f"{done}, {self.rate:.0f}/s, {found}, {self.workers} workers"
 
     @property
     def left(self) -> str:
@@ -55,15 +83,19 @@ class Figures(Struct, frozen=True, kw_only=True):
         if self.rate <= 0:
             return "time left unknown"
         seconds = round(max(0, self.budget - self.evaluations) / self.rate)
-        return f"{seconds // 60}:{seconds % 60:02d} left"
+        hours, seconds = divmod(seconds, 3600)
+        return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
 
 
-def to_json(figures: Figures) -> bytes:
-    """The figures as JSON, readable with any zenoh tool."""
+AnyFigures = TypeVar("AnyFigures", Figures, JobFigures)
+
+
+def to_json(figures: Figures | JobFigures) -> bytes:
+    """Figures as JSON, readable with any zenoh tool."""
     return json.dumps(msgspec.to_builtins(figures)).encode()
 
 
-def from_json(payload: bytes) -> Figures:
+def from_json(payload: bytes, kind: type[AnyFigures]) -> AnyFigures:
     """The figures in a message.
 
     Raises
@@ -72,6 +104,6 @@ def from_json(payload: bytes) -> Figures:
         The payload is not such JSON.
     """
     try:
-        return msgspec.json.decode(payload, type=Figures)
+        return msgspec.json.decode(payload, type=kind)
     except msgspec.DecodeError as error:
         raise MessageError(f"not figures: {error}") from None

@@ -1,9 +1,10 @@
-"""What reaches the coordinator's one thread: callbacks of the bus put it here and return."""
+"""What reaches the coordinator's one thread: callbacks of the bus and the opener put it here and return."""
 
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 
+from qdgrasp_coordinator.opener import News
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.messages import Join
 
@@ -36,7 +37,7 @@ class Wake:
     """Look at the signals."""
 
 
-Event = Sample | JoinRequest | TokenChange | LinkChange | Wake
+Event = Sample | JoinRequest | TokenChange | LinkChange | News | Wake
 
 
 class Inbox:

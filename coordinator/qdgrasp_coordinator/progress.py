@@ -1,4 +1,4 @@
-"""The live progress of a run on standard error: a moving line on a terminal, now and then one elsewhere."""
+"""The live progress of a job on standard error: a moving line on a terminal, now and then one elsewhere."""
 
 import sys
 import time
@@ -10,16 +10,16 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from qdgrasp_coordinator.figures import Figures
+from qdgrasp_coordinator.figures import JobFigures
 
 QUIET_INTERVAL = 5.0  # seconds between lines where nobody sees a moving one
 
 
 class Display(Protocol):
-    """Shows the figures of a run."""
+    """Shows the figures of a job."""
 
-    def show(self, figures: Figures) -> None:
-        """Show how far the run is."""
+    def show(self, figures: JobFigures) -> None:
+        """Show how far the job is."""
 
     def say(self, sentence: str) -> None:
         """Say something that happened, in one line."""
@@ -30,7 +30,7 @@ class FiguresColumn(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """The column's text for a task that holds `figures`."""
-        figures: Figures | None = task.fields.get("figures")
+        figures: JobFigures | None = task.fields.get("figures")
         return Text("starting" if figures is None else figures.words)
 
 
@@ -41,7 +41,7 @@ class LiveLine:
         self._progress = progress
         self._task = progress.add_task(name, total=budget, figures=None)
 
-    def show(self, figures: Figures) -> None:
+    def show(self, figures: JobFigures) -> None:
         """Move the line on."""
         self._progress.update(
             self._task, completed=figures.evaluations, total=figures.budget, figures=figures
@@ -60,7 +60,7 @@ class PlainLines:
         self._next = 0.0
         self._trouble = ""
 
-    def show(self, figures: Figures) -> None:
+    def show(self, figures: JobFigures) -> None:
         """Print a line if the last one is long enough ago, or if trouble came or went."""
         if time.monotonic() >= self._next or figures.trouble != self._trouble:
             self._trouble = figures.trouble

@@ -34,10 +34,15 @@ class Record(ABC):
     """Why rows cannot be written now, in words; empty when they can."""
 
     @abstractmethod
-    def open(self, run: OpenRun, wait: Callable[[], None]) -> Opened:
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         """Open the run: the epoch to use, and how many rows are recorded already.
 
-        `wait` is called between two tries, and may raise to end them.
+        Parameters
+        ----------
+        epoch
+            The coordinator's turn at the job; 0: one begins.
+        wait
+            Called between two tries; it may raise to end them.
         """
 
     @abstractmethod
@@ -93,8 +98,8 @@ class RecorderLink(Record):
         self._outbox = Outbox(0)
         self._platform: dict[str, str] = {}
 
-    def open(self, run: OpenRun, wait: Callable[[], None]) -> Opened:
-        """Ask the recorder to open the job, again and again until one answers.
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        """Ask the recorder to open the run, again and again until one answers.
 
         Raises
         ------
@@ -102,7 +107,7 @@ class RecorderLink(Record):
             The recorder holds another run, and says so.
         """
         try:
-            request = Open(job=self._job, runs=[run])
+            request = Open(job=self._job, runs=[run], epoch=epoch)
             opened = codec.decode(self._ask(self._keys.open, request, wait), Opened)
         except Refused as refusal:
             raise InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
@@ -188,7 +193,7 @@ class Memory(Record):
         """Everything taken, in journal order."""
         return np.concatenate([self._shape.empty(0), *self._parts])
 
-    def open(self, run: OpenRun, wait: Callable[[], None]) -> Opened:
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         """Begin: nothing is recorded."""
         return Opened(epoch=1, durable=[0], platform={})
 

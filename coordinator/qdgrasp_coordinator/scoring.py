@@ -13,6 +13,7 @@ from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.poses import Poses
 from qdgrasp_coordinator.preparation import scene_shape
+from qdgrasp_coordinator.programme import Single
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.searches.given import Given
@@ -47,7 +48,12 @@ def score(
             crew.hire(f"worker-{number}", "qdgrasp_worker.cli", ["--connect", endpoint, "--job", JOB])
         watch = Watch(crew, display)
         service = CoordinatorService(
-            bus, stop, job=JOB, assignment=assignment, record=memory, batch_size=team.batch_size
+            bus,
+            stop,
+            job=JOB,
+            programme=Single(assignment),
+            make_record=lambda _: memory,
+            batch_size=team.batch_size,
         )
 
         def look(now: float) -> None:

@@ -1,7 +1,7 @@
-"""The coordinator on the bus: ask, dispatch, settle, tell.
+"""The coordinator on the bus: ask, dispatch, settle, tell - for every run of a job at once.
 
-One thread does everything; callbacks of the bus only fill its inbox. What to do is decided by pure state
-machines - pipeline, dispatch, outbox - and carried out here.
+One thread does everything but opening runs; callbacks of the bus and the opener only fill its inbox. What to
+do is decided by pure state machines - pipeline, dispatch, outbox - and carried out here.
 """
 
 import time
@@ -15,14 +15,18 @@ import structlog
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.batch import Settlement
 from qdgrasp_coordinator.dispatch import Dispatch
-from qdgrasp_coordinator.figures import Figures, to_json
+from qdgrasp_coordinator.figures import Figures, JobFigures, to_json
 from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.inbox import Event, Inbox, JoinRequest, LinkChange, TokenChange, Wake
+from qdgrasp_coordinator.lane import Lane
+from qdgrasp_coordinator.lanes import Lanes
+from qdgrasp_coordinator.opener import Begun, Failed, NoneLeft
 from qdgrasp_coordinator.platforms import admit
+from qdgrasp_coordinator.programme import Programme
 from qdgrasp_coordinator.record import Record
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
-from qdgrasp_protocol.errors import EndedEarly, MessageError, NoReply, Refused
+from qdgrasp_protocol.errors import EndedEarly, MessageError, NoReply, Refused, RunFailed
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import (
@@ -32,21 +36,23 @@ from qdgrasp_protocol.messages import (
     Join,
     Joined,
     Message,
+    Opened,
     Recorded,
     Result,
     short,
 )
-from qdgrasp_protocol.rows import RESULT, Rows, unpack
+from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
 
 log = structlog.get_logger()
 
 STAT_INTERVAL = 0.5  # seconds between two publications of the figures
-ASK_INTERVAL = 0.1  # seconds between two questions to a recorder that does not answer
 MAX_PATIENCE = 0.5  # seconds that the inbox is waited for, at most
+AHEAD_SECONDS = 2.0
+"""Another run is opened when less work than this waits for each worker."""
 
 
 class CoordinatorService:
-    """Carries a run out: from its first ask, or from where its journal ends, to its budget.
+    """Carries the runs of a job out: from their first ask, or from where a journal ends, to their budgets.
 
     Parameters
     ----------
@@ -54,10 +60,10 @@ class CoordinatorService:
         An open session.
     job
         The job's name.
-    assignment
-        The run.
-    record
-        Where its rows go.
+    programme
+        The runs. As many are carried out at once as keep the workers busy.
+    make_record
+        Where the rows of a run go.
     batch_size
         Rows in a batch; None: measured.
     """
@@ -68,28 +74,26 @@ class CoordinatorService:
         stop: Stop,
         *,
         job: str,
-        assignment: Assignment,
-        record: Record,
+        programme: Programme,
+        make_record: Callable[[Assignment], Record],
         batch_size: int | None = None,
     ) -> None:
         self._bus = bus
         self._stop = stop
         self._job = job
         self._keys = Keys(job)
-        self._run = assignment
-        self._pipeline = assignment.pipeline
-        self._record = record
         self._batch_size = batch_size
         self._inbox = Inbox()
+        self._doors = ExitStack()
+        self._lanes = Lanes(programme, make_record, self._inbox.put, stop)
+        self._epoch = 0
+        self._dispatch = Dispatch(0, batch_size)
         self._platform: dict[str, str] = {}
         self._alive: set[str] = set()
-        self._dispatch = Dispatch(0, batch_size)
-        self._began = time.monotonic()
-        self._replayed = 0
         self._stat_at = 0.0
 
     def run(self, look: Callable[[float], None] = lambda _now: None) -> None:
-        """Carry the run out until it is finished and recorded, or until asked to stop.
+        """Carry all runs out until they are finished and recorded, or until asked to stop.
 
         Parameters
         ----------
@@ -100,70 +104,26 @@ class CoordinatorService:
         ------
         EndedEarly
             Another coordinator took over.
-        InputError
-            The recorder holds another run.
-        ReplayError
-            The journal is not what its spec replays to.
+        RunsFailed
+            Runs could not be carried out: a scene that cannot be built, a recorder that holds another run, a
+            journal that is not what its spec replays to. The others are.
         """
         self._stop.tell(lambda: self._inbox.put(Wake()))
-        with ExitStack() as stack:
-            self._listen_to_recorder(stack)
-            opened = self._record.open(self._run.opening, self._wait)
-            self._epoch = opened.epoch
-            self._platform = opened.platform
-            self._dispatch = Dispatch(opened.epoch, self._batch_size)
-            self._replay(opened.durable[0])
-            self._serve(stack)
-            while not (self._stop.is_set or (self._pipeline.finished and self._record.is_empty)):
+        with self._doors:
+            self._doors.callback(self._lanes.close)
+            self._doors.enter_context(self._bus.subscribe(self._keys.recorded, self._inbox.put))
+            self._doors.enter_context(self._bus.watch(self._keys.recorder_token(), self._token_changed))
+            while not (self._stop.is_set or self._lanes.are_done):
                 self._step()
                 look(time.monotonic())
             self._publish_figures(time.monotonic())
-        reason = self._pipeline.finished or "asked to stop"
-        log.info("ended", run=self._run.run, reason=reason, **self._dispatch.counters)
+        log.info("ended", reason="asked to stop" if self._stop.is_set else "done", **self._dispatch.counters)
+        if not self._stop.is_set:
+            self._lanes.check()
 
-    def _listen_to_recorder(self, stack: ExitStack) -> None:
-        stack.enter_context(self._bus.subscribe(self._keys.recorded, self._inbox.put))
-        stack.enter_context(self._bus.watch(self._keys.recorder_token(), self._token_changed))
-
-    def _serve(self, stack: ExitStack) -> None:
-        """Open the doors: results, joins and scenes first, the token that invites workers last."""
-        stack.enter_context(self._bus.subscribe(self._keys.result(), self._inbox.put))
-        stack.enter_context(self._bus.subscribe(self._keys.stat("worker/*"), self._inbox.put))
-        stack.enter_context(self._bus.answer(self._keys.join, self._answer_join))
-        stack.enter_context(self._bus.answer(self._keys.asset(), self._answer_asset))
-        stack.enter_context(self._bus.watch(self._keys.worker_token(), self._token_changed))
-        stack.enter_context(self._bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
-        stack.enter_context(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
-        stack.enter_context(self._bus.token(self._keys.coordinator_token(self._epoch)))
-
-    def _replay(self, durable: int) -> None:
-        """Bring the search to where the journal ends: the same asks and tells, checked bit for bit."""
-        position = 0
-        while position < durable and not self._pipeline.finished:
-            stretch = self._record.recorded(position, self._wait)
-            if not len(stretch):
-                raise EndedEarly(f"The recorder has {durable} rows but shows none from {position} on.")
-            self._pipeline.replay(stretch.rows)
-            position = stretch.stop
-            self._replayed = self._pipeline.tally.evaluations
-            self._pause()
-
-    def _wait(self) -> None:
-        """Between two questions to a recorder that does not answer."""
-        self._pause()
-        time.sleep(ASK_INTERVAL)
-
-    def _pause(self) -> None:
-        """Say how far the run is; end here if asked to.
-
-        Raises
-        ------
-        SystemExit
-            This process is asked to stop.
-        """
-        self._publish_figures(time.monotonic())
-        if self._stop.is_set:
-            raise SystemExit(self._stop.exit_code)
+    def figures(self, now: float) -> JobFigures:
+        """How far the job is."""
+        return self._lanes.figures(self._job, self._dispatch.workers, now)
 
     def _step(self) -> None:
         """Hear what came, then do everything that is possible now."""
@@ -173,33 +133,82 @@ class CoordinatorService:
         now = time.monotonic()
         for lost in self._dispatch.tick(now):
             log.info("gave a worker up", worker=lost.wid[:8], reason=lost.reason, requeued=lost.batches)
-        self._ask()
+        for lane in self._lanes:
+            self._move(lane, now)
+        ahead = AHEAD_SECONDS * self._dispatch.workers
+        self._lanes.open_another(self._epoch, is_wanted=self._dispatch.queued_seconds < ahead)
         for lease in self._dispatch.leases(now):
             self._put(self._keys.work(lease.wid), lease.work(self._epoch))
-        self._record.tick(now)
-        self._publish_figures(now)
+        if now >= self._stat_at:
+            self._publish_figures(now)
 
     def _patience(self, now: float) -> float:
         return min(MAX_PATIENCE, max(0.0, self._dispatch.next_deadline() - now))
 
-    def _ask(self) -> None:
-        """Ask the search for what it may be asked for, unless the recorder is far behind."""
-        while not self._record.is_full:
-            generation = self._pipeline.ask()
-            if generation is None:
-                return
-            self._submit(generation)
+    # Runs begin, go on and end.
 
-    def _submit(self, generation: Generation) -> None:
+    def _begin(self, lane: Lane, opened: Opened) -> None:
+        """Take on a run that is open."""
+        if not self._epoch:
+            self._begin_turn(opened.epoch)
+        try:
+            self._platform = admit(self._platform, opened.platform or self._platform)
+        except Refused as refusal:
+            self._lanes.fail(RunFailed(lane.run, f"The rows of run '{lane.run}' are of others: {refusal}"))
+            return
+        lane.record.set_platform(self._platform)
+        self._lanes.begin(lane)
+        log.info("opened", run=lane.run, recorded=lane.replayed)
+
+    def _begin_turn(self, epoch: int) -> None:
+        """Open the doors: results, joins and scenes first, the token that invites workers last."""
+        self._epoch = epoch
+        self._dispatch = Dispatch(epoch, self._batch_size)
+        enter = self._doors.enter_context
+        enter(self._bus.subscribe(self._keys.result(), self._inbox.put))
+        enter(self._bus.subscribe(self._keys.stat("worker/*"), self._inbox.put))
+        enter(self._bus.answer(self._keys.join, self._answer_join))
+        enter(self._bus.answer(self._keys.asset(), self._answer_asset))
+        enter(self._bus.watch(self._keys.worker_token(), self._token_changed))
+        enter(self._bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
+        enter(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
+        enter(self._bus.token(self._keys.coordinator_token(epoch)))
+
+    def _failed(self, reason: Exception) -> None:
+        """Go on without a run that cannot be carried out; raise every other error."""
+        if not isinstance(reason, RunFailed):
+            raise reason
+        self._lanes.fail(reason)
+        log.error("a run cannot be carried out", run=reason.run, reason=str(reason))
+
+    def _move(self, lane: Lane, now: float) -> None:
+        """Ask what may be asked of a run, unless the recorder is far behind; send what it has found."""
+        while not lane.record.is_full and (generation := lane.pipeline.ask()) is not None:
+            self._submit(lane, generation)
+        lane.record.tick(now)
+        if lane.is_done:
+            self._end(lane, now)
+
+    def _submit(self, lane: Lane, generation: Generation) -> None:
         self._dispatch.submit(
-            self._run.run,
-            self._run.bundle.digest,
-            self._run.prior,
+            lane.run,
+            lane.assignment.bundle.digest,
+            lane.assignment.prior,
             generation.number,
             generation.indices,
             generation.trials,
             generation.genomes,
         )
+
+    def _end(self, lane: Lane, now: float) -> None:
+        """Let go of a run that is finished and recorded."""
+        self._publish(f"run/{lane.run}", lane.figures(self._dispatch.workers, now))
+        self._lanes.end(lane)
+        for wid, batches in self._dispatch.withdraw(lane.run).items():
+            self._drop(wid, batches)
+        log.info("finished", run=lane.run, reason=lane.pipeline.finished)
+
+    # Events come in.
 
     def _take(self, event: Event, now: float) -> None:
         match event:
@@ -209,12 +218,25 @@ class CoordinatorService:
                 self._take_token(key, alive, now)
             case LinkChange(up):
                 self._dispatch.link(up, now)
-            case Sample(encoding=kind) if kind == codec.encoding(Result):
-                self._take_result(event, now)
-            case Sample(encoding=kind) if kind == codec.encoding(Recorded):
-                self._take_recorded(event, now)
-            case Sample(key=key):
-                self._dispatch.seen(last_chunk(key), now)
+            case Begun(lane, opened):
+                self._begin(lane, opened)
+            case Failed(reason):
+                self._failed(reason)
+            case NoneLeft():
+                self._lanes.none_left()
+            case Sample():
+                self._take_sample(event, now)
+
+    def _take_sample(self, sample: Sample, now: float) -> None:
+        try:
+            if sample.encoding == codec.encoding(Result):
+                self._take_result(sample, now)
+            elif sample.encoding == codec.encoding(Recorded):
+                self._take_recorded(codec.decode(sample.payload, Recorded), now)
+            else:
+                self._dispatch.seen(last_chunk(sample.key), now)
+        except MessageError as error:
+            log.warning("dropped a message", key=sample.key, reason=str(error))
 
     def _take_token(self, key: str, alive: bool, now: float) -> None:
         who = last_chunk(key)
@@ -226,8 +248,8 @@ class CoordinatorService:
                 self._alive.discard(who)
                 self._dispatch.gone(who, now)
         elif key == self._keys.recorder_token(who):
-            if alive:
-                self._record.recorder_up(now)
+            for lane in self._lanes if alive else ():
+                lane.record.recorder_up(now)
         elif alive and who.isdigit() and int(who) > self._epoch:
             raise EndedEarly(f"Another coordinator of job '{self._job}' took over (epoch {who}).")
 
@@ -243,8 +265,8 @@ class CoordinatorService:
         except Refused as refusal:
             answer.set_exception(refusal)
             return
-        if not known:
-            self._record.set_platform(self._platform)
+        for lane in self._lanes if not known else ():
+            lane.record.set_platform(self._platform)
         drop = self._dispatch.join(join.wid, join.number, join.credit, join.held, now)
         if join.wid not in self._alive:  # its token is late, or vanished before its question came
             self._dispatch.gone(join.wid, now)
@@ -254,36 +276,24 @@ class CoordinatorService:
 
     def _take_result(self, sample: Sample, now: float) -> None:
         """Settle a result once, and take what became final."""
-        try:
-            result, rows = self._read(sample)
-            settled = self._dispatch.settle(last_chunk(sample.key), result, rows, now)
-        except MessageError as error:
-            log.warning("dropped a result", reason=str(error))
+        result, wid = codec.decode(sample.payload, Result), last_chunk(sample.key)
+        lane = self._lanes.get(result.run)
+        if lane is None:
+            self._dispatch.seen(wid, now)
             return
+        result, rows = readable(result, lane.assignment.shape)
+        settled = self._dispatch.settle(wid, result, rows, now)
         if settled.superseded is not None:
-            control = Control(epoch=self._epoch, drop=[result.batch])
-            self._put(self._keys.ctl(settled.superseded), control, Channel.CONTROL)
+            self._drop(settled.superseded, [result.batch])
         if settled.kind is Settlement.FRESH and settled.rows is not None:
-            self._record.push(self._pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
+            lane.record.push(lane.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
 
-    def _read(self, sample: Sample) -> tuple[Result, Rows]:
-        """A result and its rows; where these cannot be read, all of them failed, for that reason."""
-        result = codec.decode(sample.payload, Result)
-        shape = self._run.shape
-        rows = shape.empty(result.n)
-        if len(result.failures) == result.n:
-            return result, rows
-        try:
-            return result, unpack(rows, RESULT, result.columns, shape)
-        except MessageError as error:
-            failures = [Failure(row=row, reason=short(str(error))) for row in range(result.n)]
-            return msgspec.structs.replace(result, failures=failures), rows
+    def _take_recorded(self, report: Recorded, now: float) -> None:
+        lane = self._lanes.get(report.run)
+        if lane is not None:
+            lane.record.heard(report, now)
 
-    def _take_recorded(self, sample: Sample, now: float) -> None:
-        try:
-            self._record.heard(codec.decode(sample.payload, Recorded), now)
-        except MessageError as error:
-            log.warning("dropped a report of the recorder", reason=str(error))
+    # Questions are answered, and messages sent.
 
     def _answer_join(self, query: Query) -> bytes:
         """In a thread of the bus: hand the request over and wait for the answer."""
@@ -298,43 +308,42 @@ class CoordinatorService:
             raise NoReply("the coordinator is busy") from None
 
     def _answer_asset(self, query: Query) -> bytes:
-        """In a thread of the bus: one chunk of the scene."""
-        return chunks.answer(query, self._run.bundle.payload, self._run.bundle.digest)
+        """In a thread of the bus: one chunk of a scene."""
+        digest = last_chunk(query.key)
+        scene = self._lanes.scene(digest)
+        if scene is None:
+            raise Refused(f"no run in progress has the scene {digest[:12]}")
+        return chunks.answer(query, scene.payload, digest)
 
     def _token_changed(self, key: str, alive: bool) -> None:
         self._inbox.put(TokenChange(key, alive))
+
+    def _drop(self, wid: str, batches: list[bytes]) -> None:
+        """Take batches back from a worker."""
+        self._put(self._keys.ctl(wid), Control(epoch=self._epoch, drop=batches), Channel.CONTROL)
 
     def _put(self, key: str, message: Message, channel: Channel = Channel.DATA) -> None:
         kind = codec.encoding(type(message))
         self._bus.put(key, codec.encode(message), encoding=kind, channel=channel)
 
     def _publish_figures(self, now: float) -> None:
-        if now < self._stat_at and not self._pipeline.finished:
-            return
         self._stat_at = now + STAT_INTERVAL
-        payload = to_json(self.figures(now))
-        key = self._keys.stat(f"run/{self._run.run}")
-        self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)
+        for lane in self._lanes:
+            self._publish(f"run/{lane.run}", lane.figures(self._dispatch.workers, now))
+        self._publish("job", self.figures(now))
 
-    def figures(self, now: float) -> Figures:
-        """How far the run is."""
-        counts = self._pipeline.tally
-        seconds = now - self._began
-        return Figures(
-            run=self._run.run,
-            evaluations=counts.evaluations,
-            budget=self._run.evaluations,
-            rows=counts.rows,
-            proposals=counts.proposals,
-            overlaps=counts.overlaps,
-            successes=counts.successes,
-            grasps=counts.grasps,
-            robust=counts.robust,
-            errors=counts.errors,
-            cells=counts.cells,
-            workers=self._dispatch.workers,
-            durable=self._record.durable,
-            seconds=seconds,
-            rate=(counts.evaluations - self._replayed) / seconds if seconds > 0 else 0.0,
-            trouble=self._record.trouble,
-        )
+    def _publish(self, what: str, figures: Figures | JobFigures) -> None:
+        key = self._keys.stat(what)
+        self._bus.put(key, to_json(figures), encoding="application/json", channel=Channel.MONITOR)
+
+
+def readable(result: Result, shape: Shape) -> tuple[Result, Rows]:
+    """A result and its rows; where these cannot be read, all of them failed, for that reason."""
+    rows = shape.empty(result.n)
+    if len(result.failures) == result.n:
+        return result, rows
+    try:
+        return result, unpack(rows, RESULT, result.columns, shape)
+    except MessageError as error:
+        failures = [Failure(row=row, reason=short(str(error))) for row in range(result.n)]
+        return msgspec.structs.replace(result, failures=failures), rows

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
 from qdgrasp_coordinator.crew import Crew, Death
-from qdgrasp_coordinator.figures import Figures, from_json
+from qdgrasp_coordinator.figures import JobFigures, from_json
 from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_protocol.bus import Sample
@@ -24,7 +24,7 @@ LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
 
 @dataclass(frozen=True)
 class Team:
-    """How a run is carried out on this machine; no result depends on it."""
+    """How a job is carried out on this machine; no result depends on it."""
 
     workers: int
     batch_size: int | None = None
@@ -36,7 +36,7 @@ class Team:
 
 
 class Supervisor:
-    """Starts a run's processes, shows its progress, and ends them with it."""
+    """Starts a job's processes, shows its progress, and ends them with it."""
 
     def __init__(self, folder: JobFolder, team: Team, display: Display, stop: Stop) -> None:
         self._folder = folder
@@ -46,7 +46,7 @@ class Supervisor:
         self._news: SimpleQueue[Sample | None] = SimpleQueue()
 
     def run(self) -> None:
-        """Carry the run out to its end.
+        """Carry the job out to its end.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class Supervisor:
         except EndpointError:
             watch.look(time.monotonic())  # the coordinator's death says more
             raise
-        return bus.subscribe(Keys(self._folder.name).stat("run/*"), self._news.put)
+        return bus.subscribe(Keys(self._folder.name).stat("job"), self._news.put)
 
     def _await(self, condition: Callable[[], bool], watch: "Watch") -> None:
         """Look after the processes and show what they report until the condition holds or a signal comes."""
@@ -112,7 +112,7 @@ class Supervisor:
         if news is None:
             return
         try:
-            figures: Figures = from_json(news.payload)
+            figures = from_json(news.payload, JobFigures)
         except MessageError:
             return
         self._display.show(figures)

@@ -10,6 +10,8 @@
         * FolderError            a run folder that cannot be used
             * DiskFull               there is no room to write in it
         * ReplayError            a journal that its own spec does not replay to
+        * RunFailed              a run of a job that cannot be carried out
+        * RunsFailed             runs of a job that could not be, when the others are
         * JawNeeded              a prior for two-finger hands, and a hand that is none
         * EndpointError          an endpoint that cannot be listened on or reached
     * BusError               the bus did not do what was asked
@@ -20,7 +22,7 @@
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 
@@ -136,6 +138,43 @@ class MessageError(QdgraspError):
 
 class ReplayError(InputError):
     """A journal that its own spec does not replay to."""
+
+
+class RunFailed(InputError):
+    """A run of a job that cannot be carried out.
+
+    Parameters
+    ----------
+    run
+        Its name.
+    reason
+        A sentence.
+    """
+
+    def __init__(self, run: str, reason: str) -> None:
+        super().__init__(reason)
+        self.run = run
+
+
+class RunsFailed(InputError):
+    """Runs of a job that could not be carried out, when the others are.
+
+    Parameters
+    ----------
+    failures
+        One or more.
+    total
+        How many runs the job has.
+    """
+
+    def __init__(self, failures: Sequence[RunFailed], total: int) -> None:
+        first = failures[0]
+        if total == 1:
+            super().__init__(str(first))
+            return
+        super().__init__(
+            f"{len(failures)} of {total} runs could not be carried out; the first is '{first.run}': {first}"
+        )
 
 
 class RecorderFellBack(QdgraspError):

@@ -8,8 +8,12 @@ import structlog
 import typer
 
 from qdgrasp_coordinator import preparation
+from qdgrasp_coordinator.campaign import is_campaign, read_campaign
+from qdgrasp_coordinator.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.programme import Programme, Single
 from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_protocol.command import run_command
@@ -25,7 +29,12 @@ log = structlog.get_logger()
 
 @app.command()
 def coordinator(
-    what: Annotated[Path, typer.Argument(metavar="SPEC.toml|DIR", help="A spec, or a run's folder.")],
+    what: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE.toml|DIR", help="A run's spec, a campaign's file, or the folder of one."
+        ),
+    ],
     listen: options.Listen = None,
     connect: Annotated[
         str | None, typer.Option(help="Endpoint of a router that runs already; default: embed one.")
@@ -33,28 +42,43 @@ def coordinator(
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's or file's.")] = None,
     batch_size: options.BatchSize = None,
 ) -> None:
-    """Run the search of a job: ask, dispatch to workers, settle, tell; a recorder keeps what is found.
+    """Run the searches of a job: ask, dispatch to workers, settle, tell; a recorder keeps what is found.
 
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
     """
-    folder = RunFolder.open(what) if what.is_dir() else None
-    if folder is not None:
-        spec, bundle, scene = folder.spec, folder.bundle(), folder.scene()
-    else:
-        spec = preparation.full_spec(read_run_spec(what), str(what))
-        scene, bundle = preparation.make_bundle(spec)
-    run = preparation.assignment(spec, scene, bundle)
-    name = job or (folder.job.name if folder else job_name(what.stem))
+    folder = JobFolder.open(what) if what.is_dir() else None
+    programme = programme_of(what, folder)
+    name = job or (folder.name if folder else job_name(what.stem))
     with lifetime("qdgrasp-coordinator") as stop, ExitStack() as stack:
         speak("coordinator")
         bus, endpoint = _session(listen, connect, stop)
         stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
         if folder is not None:
-            folder.job.write_endpoint(endpoint)
-        record = RecorderLink(bus, name, run.shape)
-        CoordinatorService(bus, stop, job=name, assignment=run, record=record, batch_size=batch_size).run()
+            folder.write_endpoint(endpoint)
+        CoordinatorService(
+            bus,
+            stop,
+            job=name,
+            programme=programme,
+            make_record=lambda run: RecorderLink(bus, name, run.shape),
+            batch_size=batch_size,
+        ).run()
     raise typer.Exit(stop.exit_code)
+
+
+def programme_of(what: Path, folder: JobFolder | None) -> Programme:
+    """The runs of a job: a campaign's, or a single one."""
+    source = what / CAMPAIGN if folder and folder.is_campaign else what
+    if source.is_file() and is_campaign(source):
+        return CampaignRuns(folder, read_campaign(source).runs)
+    if folder is None:
+        spec = preparation.full_spec(read_run_spec(what), str(what))
+        scene, bundle = preparation.make_bundle(spec)
+    else:
+        run = RunFolder.open(what)
+        spec, scene, bundle = run.spec, run.scene(), run.bundle()
+    return Single(preparation.assignment(spec, scene, bundle))
 
 
 def _session(listen: str | None, connect: str | None, stop: Stop) -> tuple[ZenohBus, str]:

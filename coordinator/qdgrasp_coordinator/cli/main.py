@@ -7,6 +7,7 @@ import typer
 from qdgrasp_coordinator.cli import (
     analyse,
     asset,
+    campaign,
     coverage,
     digest,
     doctor,
@@ -14,6 +15,7 @@ from qdgrasp_coordinator.cli import (
     info,
     methods,
     reference,
+    rerank,
     resume,
     run,
 )
@@ -29,7 +31,9 @@ app = typer.Typer(
 )
 for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evaluate, coverage.coverage):
     app.command()(command)
+app.command()(campaign.campaign)
 app.command()(analyse.analyse)
+app.command()(rerank.rerank)
 app.command()(methods.methods)
 app.command()(doctor.doctor)
 app.add_typer(asset.app, name="asset")

@@ -4,16 +4,16 @@ from typing import Annotated
 
 import typer
 
+from qdgrasp_coordinator.budget import extend
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.run import carry_out, finish
+from qdgrasp_coordinator.cli.carrying import carry_out
+from qdgrasp_coordinator.cli.run import finish
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.summary import summary
 from qdgrasp_coordinator.supervisor import Team
-from qdgrasp_coordinator.tally import counted, tally
-from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.lifetime import lifetime
-from qdgrasp_protocol.spec import run_spec, to_values
 
 
 def resume(
@@ -31,6 +31,7 @@ def resume(
     Example: qdgrasp resume runs/panda-mug-contact_me_scs-s0 --evaluations 20000
     """
     folder = RunFolder.open(directory)
+    check_own_job(folder)
     folder.job.check_not_in_use()
     if evaluations is not None:
         extend(folder, evaluations)
@@ -41,23 +42,19 @@ def resume(
     team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
     with lifetime("qdgrasp resume") as stop, display(directory.name, folder.spec.evaluations) as shown:
         shown.say(f"going on after {found.evaluations} evaluations")
-        carry_out(folder, team, shown, stop)
-    finish(folder, stop.exit_code)
+        carry_out(folder.job, team, shown, stop)
+    finish(folder, stop)
 
 
-def extend(folder: RunFolder, evaluations: int) -> None:
-    """Give a run a new budget.
+def check_own_job(folder: RunFolder) -> None:
+    """Check that a run is a job of its own.
 
     Raises
     ------
-    ImpossibleValue
-        It is no budget, or the journal goes on behind it.
+    FolderError
+        It is one of a campaign's.
     """
-    spec = run_spec(to_values(folder.spec) | {"evaluations": evaluations}, "--evaluations")
-    with folder.journal() as journal:
-        recorded = tally(spec, journal.blocks())
-        last = journal.rows(max(0, journal.count - 1), 1)
-    reached = recorded.evaluations + int(len(last) > 0 and not counted(last, spec.overlaps)[0])
-    if evaluations < reached:
-        raise ImpossibleValue("--evaluations", evaluations, f"at least {reached}, which are recorded")
-    folder.rewrite_spec(spec)
+    if folder.job.is_campaign:
+        raise FolderError(
+            f"{folder.path} is a run of a campaign: `qdgrasp campaign {folder.job.path}` goes on with it."
+        )

@@ -8,11 +8,12 @@ import typer
 
 from qdgrasp_coordinator import preparation
 from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped
 from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.progress import Display, display
+from qdgrasp_coordinator.progress import display
+from qdgrasp_coordinator.ranking import is_reranking, write_ranking
 from qdgrasp_coordinator.summary import summary
-from qdgrasp_coordinator.supervisor import Supervisor, Team
-from qdgrasp_protocol.errors import EndedEarly
+from qdgrasp_coordinator.supervisor import Team
 from qdgrasp_protocol.lifetime import Stop, lifetime
 from qdgrasp_protocol.spec import RunSpec, read_run_spec
 
@@ -91,27 +92,19 @@ def start(
         with lifetime("qdgrasp run") as stop:
             folder = RunFolder.create(out, spec, bundle, job=job)
             begun(folder)
-            carry_out(folder, team, shown, stop)
-    finish(folder, stop.exit_code)
+            carry_out(folder.job, team, shown, stop)
+    finish(folder, stop)
 
 
-def carry_out(folder: RunFolder, team: Team, shown: Display, stop: Stop) -> None:
-    """Carry a run out; what ends it early names the command that goes on."""
-    try:
-        Supervisor(folder.job, team, shown, stop).run()
-    except EndedEarly as error:
-        raise EndedEarly(f"{error} `qdgrasp resume {folder.path}` goes on where it stopped.") from None
-
-
-def finish(folder: RunFolder, exit_code: int) -> None:
-    """Print what was found, and end as the signal asks."""
-    if exit_code:
-        typer.echo(f"Stopped; `qdgrasp resume {folder.path}` goes on where it stopped.", err=True)
-        raise typer.Exit(exit_code)
+def finish(folder: RunFolder, stop: Stop) -> None:
+    """Print what was found, or end as a signal has asked."""
+    check_not_stopped(folder.job, stop)
     found = summary(folder)
     typer.echo(found.words)
     if found.evaluations < found.budget:
         typer.echo(f"It ended early: {found.ended}.")
+    if is_reranking(folder):
+        typer.echo(write_ranking(folder))
 
 
 def _merged(spec: Path | None, flags: dict[str, Any]) -> dict[str, Any]:

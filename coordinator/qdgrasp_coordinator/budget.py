@@ -1,0 +1,34 @@
+"""The budget of a run that has begun: it may be raised, not taken back below what is recorded."""
+
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.search import check
+from qdgrasp_coordinator.tally import Tally, tally
+from qdgrasp_protocol.spec import RunSpec, run_spec, to_values
+
+
+def extend(folder: RunFolder, evaluations: int) -> None:
+    """Give a run a new budget.
+
+    Raises
+    ------
+    ImpossibleValue
+        It is no budget, or the journal is not a beginning of that with it.
+    """
+    spec = run_spec(to_values(folder.spec) | {"evaluations": evaluations}, "--evaluations")
+    tally_within(folder, spec, "--evaluations")
+    folder.rewrite_spec(spec)
+
+
+def tally_within(folder: RunFolder, spec: RunSpec, where: str = "evaluations") -> Tally:
+    """What the journal of a run adds up to under a budget, whose journal it must be a beginning of.
+
+    Raises
+    ------
+    ImpossibleValue
+        It is not.
+    """
+    check(spec)
+    with folder.journal() as journal:
+        found = tally(spec, journal.blocks())
+    found.check_budget(spec, where)
+    return found

@@ -1,0 +1,108 @@
+"""The runs of a campaign in its folder: which are finished, and how the others are made ready."""
+
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from qdgrasp_assets.scene import Bundle, Scene
+from qdgrasp_coordinator import preparation
+from qdgrasp_coordinator.assignment import Assignment
+from qdgrasp_coordinator.budget import tally_within
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.job_folder import JobFolder
+from qdgrasp_coordinator.programme import Extent
+from qdgrasp_coordinator.tally import Tally
+from qdgrasp_protocol.errors import FolderError, InputError, RunFailed
+from qdgrasp_protocol.spec import RunSpec
+
+SCENE = ("gripper", "object", "mass", "friction", "protocol", "surface_seed")
+"""The keys of a spec that its scene depends on."""
+
+
+class CampaignRuns:
+    """The programme of a campaign: its unfinished runs, each made when its turn comes.
+
+    Parameters
+    ----------
+    folder
+        The campaign's; None: nothing is known of what was recorded, and no folders are made.
+    runs
+        The specs by name.
+
+    Raises
+    ------
+    FolderError, ImpossibleValue
+        A run's folder holds another run, or more evaluations than its budget.
+    """
+
+    def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
+        self._folder = folder
+        self._runs = runs
+        known = {name: recorded(folder.run_path(name), spec) for name, spec in runs.items()} if folder else {}
+        done = {name: found for name, found in known.items() if found is not None and found.finished}
+        self.extent = Extent(
+            runs=len(runs),
+            evaluations=sum(spec.evaluations for spec in runs.values()),
+            runs_done=len(done),
+            evaluations_done=sum(found.evaluations for found in done.values()),
+            successes_done=sum(found.successes for found in done.values()),
+            cells_done=sum(found.cells for found in done.values()),
+        )
+        self._left = deque(name for name in runs if name not in done)
+        self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
+
+    def next(self) -> Assignment | None:
+        """The next unfinished run, with a folder of its own.
+
+        Raises
+        ------
+        RunFailed
+            Its scene cannot be built, or its folder not be written.
+        """
+        if not self._left:
+            return None
+        name = self._left.popleft()
+        try:
+            return self._make(name, self._runs[name])
+        except InputError as error:
+            raise RunFailed(name, str(error)) from None
+
+    def _make(self, name: str, spec: RunSpec) -> Assignment:
+        path = self._folder.run_path(name) if self._folder else None
+        if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
+            folder = RunFolder(path)
+            return preparation.assignment(spec, folder.scene(), folder.bundle(), name)
+        scene, bundle = self._built(spec)
+        if self._folder is not None and path is not None and not RunFolder.is_run(path):
+            RunFolder.add(self._folder, name, spec, bundle)
+        return preparation.assignment(spec, scene, bundle, name)
+
+    def _built(self, spec: RunSpec) -> tuple[Scene, Bundle]:
+        """The scene of a spec; neighbours in the order often share theirs."""
+        if self._scene is None or not _share_scene(self._scene[0], spec):
+            self._scene = spec, preparation.make_bundle(spec)
+        return self._scene[1]
+
+
+def recorded(path: Path, spec: RunSpec) -> Tally | None:
+    """What a run's folder holds of the run that `spec` asks for; None: nothing was begun.
+
+    Raises
+    ------
+    FolderError, ImpossibleValue
+        It holds a run of another spec, or more evaluations than the budget.
+    """
+    if not RunFolder.is_run(path):
+        return None
+    folder = RunFolder.open(path)
+    known = msgspec.structs.replace(folder.spec, evaluations=spec.evaluations)
+    differ = [key for key in spec.__struct_fields__ if getattr(known, key) != getattr(spec, key)]
+    if differ:
+        raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
+    return tally_within(folder, spec)
+
+
+def _share_scene(one: RunSpec, other: RunSpec) -> bool:
+    return all(getattr(one, key) == getattr(other, key) for key in SCENE)

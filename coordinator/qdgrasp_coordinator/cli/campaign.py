@@ -1,0 +1,69 @@
+"""`qdgrasp campaign`: many runs from one file, on one pool of workers."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from qdgrasp_coordinator import campaign_folder
+from qdgrasp_coordinator.campaign import Campaign, read_campaign
+from qdgrasp_coordinator.campaign_runs import CampaignRuns
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped
+from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.progress import display
+from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_protocol.lifetime import lifetime
+
+
+def campaign(
+    what: Annotated[
+        Path, typer.Argument(metavar="FILE.toml|DIR", help="The campaign, or the folder of one that began.")
+    ],
+    out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    listen: options.Listen = None,
+    job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
+    disk_wait: options.DiskWait = 60.0,
+    list_runs: Annotated[bool, typer.Option("--list", help="Print the runs, and do nothing.")] = False,
+) -> None:
+    """Carry out all runs of a campaign; one that was stopped goes on, and finished runs are not repeated.
+
+    The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
+
+    Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
+    """
+    path = what if what.is_dir() else out or Path("runs") / what.stem
+    asked = read_campaign(JobFolder.open(what).path / CAMPAIGN if what.is_dir() else what)
+    if list_runs:
+        show(asked)
+        return
+    folder = campaign_folder.begin(path, asked, job)
+    extent = CampaignRuns(folder, asked.runs).extent
+    team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
+    with lifetime("qdgrasp campaign") as stop, display(path.name, asked.evaluations) as shown:
+        shown.say(asked.words)
+        if extent.runs_done:
+            shown.say(f"{extent.runs_done} of {extent.runs} runs are finished already")
+        if extent.runs_done < extent.runs:
+            carry_out(folder, team, shown, stop)
+    check_not_stopped(folder, stop)
+    finish(folder, asked)
+
+
+def show(asked: Campaign) -> None:
+    """Print the runs of a campaign."""
+    for name, spec in asked.runs.items():
+        typer.echo(f"{name}  {spec.evaluations}")
+    typer.echo(asked.words)
+
+
+def finish(folder: JobFolder, asked: Campaign) -> None:
+    """Print what was found."""
+    found = CampaignRuns(folder, asked.runs).extent
+    typer.echo(
+        f"{found.runs_done} of {found.runs} runs with {found.evaluations_done} evaluations: "
+        f"{found.successes_done} successes in {found.cells_done} cells. "
+        f"`qdgrasp analyse {folder.path}` draws the figures."
+    )

@@ -1,0 +1,49 @@
+"""The programme of a job: its runs, one after the other, each made when its turn comes."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from qdgrasp_coordinator.assignment import Assignment
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much a programme has to do, counted before its first run is opened."""
+
+    runs: int
+    evaluations: int
+    """The budgets of all runs."""
+    runs_done: int = 0
+    """Runs that were finished before; they are not opened again."""
+    evaluations_done: int = 0
+    """What these counted."""
+    successes_done: int = 0
+    cells_done: int = 0
+    """Their distinct cells with a success, summed over runs."""
+
+
+class Programme(Protocol):
+    """What every programme does."""
+
+    extent: Extent
+
+    def next(self) -> Assignment | None:
+        """The next run to carry out; None when there is none left.
+
+        Raises
+        ------
+        RunFailed
+            It cannot be made; the one behind it still may.
+        """
+
+
+class Single:
+    """The programme of a job with one run."""
+
+    def __init__(self, assignment: Assignment) -> None:
+        self.extent = Extent(runs=1, evaluations=assignment.evaluations)
+        self._left = [assignment]
+
+    def next(self) -> Assignment | None:
+        """The run, once."""
+        return self._left.pop() if self._left else None
