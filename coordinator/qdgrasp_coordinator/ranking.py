@@ -1,0 +1,174 @@
+"""Ranking: the best grasps of a run's archive, and their order once they were scored again.
+
+A run that scores them again is a run like any other. Its folder has two files more:
+
+* `source.json`   from which rows its poses were taken, in their order
+* `ranking.csv`   its poses by eta, best first; written when it is complete
+"""
+
+import csv
+import io
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from qdgrasp_coordinator import disk
+from qdgrasp_coordinator.cells import cells, keys
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.scores import eta, scored
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.trials import trials
+
+SOURCE, RANKING = "source.json", "ranking.csv"
+SHOWN = 10
+"""Grasps that are shown to a person."""
+COLUMNS = (
+    "rank", "eta", "fitness", "source_generation", "source_index", "source_fitness",
+    "cell_x", "cell_y", "cell_z", "x", "y", "z", "qx", "qy", "qz", "qw",
+)  # fmt: skip
+
+
+class Place(Struct, frozen=True):
+    """Where a pose came from."""
+
+    generation: int
+    index: int
+    fitness: float
+    """What the search heard of it there."""
+
+
+class Source(Struct, frozen=True):
+    """Where the poses of a run came from."""
+
+    run: str
+    """The folder of the run that found them."""
+    rows: tuple[Place, ...]
+    """In the order of the poses."""
+
+
+def grasps(folder: RunFolder) -> Rows:
+    """The grasps of a run (n,) in journal order, with the fitness that its search heard of them.
+
+    A grasp survived a nominal shake; under a protocol with trials all of its own are recorded.
+    """
+    with folder.journal() as journal:
+        found = [journal.shape.empty(0), *scored(journal.blocks(), trials(folder.spec.protocol))]
+    rows = np.concatenate(found)
+    return rows[rows["outcome"] >= Outcome.SHAKEN]
+
+
+def best(rows: Rows, most: int) -> Rows:
+    """The best row of each 1 cm cell, and of these the `most` best, best first.
+
+    One row is better than another with a greater fitness; of equals with less penetration; of equals with
+    more contacts; of equals the earlier one in the journal.
+    """
+    order = np.lexsort(
+        (
+            rows["index"],
+            rows["generation"],
+            -rows["contacts"].astype(np.int64),
+            rows["penetration"],
+            -rows["fitness"],
+        )
+    )
+    ranked = rows[order]
+    _, first = np.unique(keys(cells(ranked["descriptor"][:, :3])), return_index=True)
+    return ranked[np.sort(first)][:most]
+
+
+def note_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:
+    """Write down from which rows of a run the poses of another were taken.
+
+    Raises
+    ------
+    FolderError
+        It cannot be written.
+    """
+    places = tuple(Place(*values) for values in rows[["generation", "index", "fitness"]].tolist())
+    noted = Source(str(source.path.absolute()), places)
+    with disk.writing(folder.path):
+        disk.write(folder.path / SOURCE, msgspec.json.encode(noted))
+
+
+def is_reranking(folder: RunFolder) -> bool:
+    """Whether a run scores the grasps of another."""
+    return (folder.path / SOURCE).is_file()
+
+
+def write_ranking(folder: RunFolder) -> str:
+    """Rank the poses of a complete run that scores grasps again, and write `ranking.csv`.
+
+    Returns
+    -------
+    words
+        The best of them as a table.
+
+    Raises
+    ------
+    FolderError
+        A file cannot be read or written.
+    """
+    table = ranked(folder)
+    with disk.writing(folder.path):
+        disk.write(folder.path / RANKING, _as_csv(table))
+    shown = [COLUMNS[:9], *(tuple(f"{value:g}" for value in line[:9]) for line in table[:SHOWN])]
+    lines = [
+        "  ".join(f"{word:>{len(name)}}" for word, name in zip(line, COLUMNS, strict=False)) for line in shown
+    ]
+    return "\n".join([*lines, f"{len(table)} grasps ranked in {folder.path / RANKING}"])
+
+
+def ranked(folder: RunFolder) -> list[tuple[float, ...]]:
+    """The poses of a run by eta, best first, of equals in their order; each in the order of `COLUMNS`.
+
+    What is no success any more has eta 0: it has no trials.
+    """
+    source = _source(folder.path)
+    known = trials(folder.spec.protocol)
+    with folder.journal() as journal:
+        blocks = list(journal.blocks())
+        rows = np.concatenate([journal.shape.empty(0), *(block[block["trial"] == 0] for block in blocks)])
+    sums = np.zeros(len(rows))
+    for found in scored(blocks, known):
+        sums[_places(found, folder)] = found["fitness"]
+    etas = eta(sums, known)
+    order = np.argsort(-etas, kind="stable")
+    cell = cells(rows["descriptor"][:, :3])
+    return [
+        (
+            rank,
+            float(etas[place]),
+            float(rows["fitness"][place]),
+            *msgspec.structs.astuple(source.rows[place]),
+            *cell[place].tolist(),
+            *rows["base_to_object"][place].tolist(),
+        )
+        for rank, place in enumerate(order.tolist(), start=1)
+    ]
+
+
+def _places(rows: Rows, folder: RunFolder) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Which poses of the spec rows are of."""
+    places: np.ndarray[tuple[int], np.dtype[np.int64]] = (
+        rows["generation"].astype(np.int64) * folder.spec.population + rows["index"]
+    )
+    return places
+
+
+def _source(path: Path) -> Source:
+    try:
+        return msgspec.json.decode(disk.read(path / SOURCE), type=Source)
+    except msgspec.MsgspecError as error:
+        raise disk.damaged(path / SOURCE, str(error)) from None
+
+
+def _as_csv(table: list[tuple[float, ...]]) -> bytes:
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows([f"{value:.9g}" for value in line] for line in table)
+    return file.getvalue().encode()
