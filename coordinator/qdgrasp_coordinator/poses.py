@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.arrays import read_arrays
+from qdgrasp_coordinator.scores import eta, sums
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.genome import GIVEN, NO_SYNERGY, Genomes
 from qdgrasp_protocol.outcome import Outcome
@@ -108,8 +109,13 @@ def postures(scene: Scene, prior: str, rows: Rows) -> NDArray[np.float32]:
     return starts
 
 
-def write_scores(path: Path, rows: Rows) -> None:
+def write_scores(path: Path, rows: Rows, trials: int = 0) -> None:
     """Write scores beside each other, in the order of the poses; a half-written file never appears.
+
+    Parameters
+    ----------
+    rows, trials
+        As in `scores`.
 
     Raises
     ------
@@ -119,22 +125,25 @@ def write_scores(path: Path, rows: Rows) -> None:
     partial = path.with_name(f".{path.name}.part")
     try:
         with partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **scores(rows))
+            np.savez_compressed(file, allow_pickle=False, **scores(rows, trials))
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise InputError(f"No scores can be written to '{path}': {error.strerror or error}.") from None
 
 
-def scores(rows: Rows) -> dict[str, NDArray[np.generic]]:
-    """Scored rows as arrays by name.
+def scores(rows: Rows, trials: int = 0) -> dict[str, NDArray[np.generic]]:
+    """Scored rows, of a journal, as arrays by name; of nominal ones but for eta.
 
     valid, touched, success: (n,) bool; fitness: (n,) uint8, false and 0 for overlaps; outcome: (n,) uint8
     (`Outcome`); base_position (n, 3) and base_quaternion_xyzw (n, 4) as simulated, float32; joints (n, j)
-    after closing; contacts (n,) finger links in contact; penetration (n,) [m].
+    after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where each success has
+    `trials` trials, eta (n,): the estimated probability that it transfers, 0 for what is no success.
     """
+    etas = {"eta": eta(sums(rows, trials), trials)} if trials else {}
+    rows = rows[rows["trial"] == 0]
     outcome = rows["outcome"]
-    return {
+    return etas | {
         "valid": outcome >= Outcome.MISSED,
         "touched": outcome >= Outcome.BRUSHED,
         "success": outcome >= Outcome.DROPPED,

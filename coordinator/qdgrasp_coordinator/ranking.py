@@ -17,7 +17,7 @@ from msgspec import Struct
 from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.cells import cells, keys
 from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.scores import eta, scored
+from qdgrasp_coordinator.scores import eta, scored, sums
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.trials import trials
@@ -26,7 +26,7 @@ SOURCE, RANKING = "source.json", "ranking.csv"
 SHOWN = 10
 """Grasps that are shown to a person."""
 COLUMNS = (
-    "rank", "eta", "fitness", "source_generation", "source_index", "source_fitness",
+    "rank", "eta", "nominal_fitness", "source_generation", "source_index", "source_fitness",
     "cell_x", "cell_y", "cell_z", "x", "y", "z", "qx", "qy", "qz", "qw",
 )  # fmt: skip
 
@@ -130,12 +130,8 @@ def ranked(folder: RunFolder) -> list[tuple[float, ...]]:
     source = _source(folder.path)
     known = trials(folder.spec.protocol)
     with folder.journal() as journal:
-        blocks = list(journal.blocks())
-        rows = np.concatenate([journal.shape.empty(0), *(block[block["trial"] == 0] for block in blocks)])
-    sums = np.zeros(len(rows))
-    for found in scored(blocks, known):
-        sums[_places(found, folder)] = found["fitness"]
-    etas = eta(sums, known)
+        every = journal.rows(0, journal.count)
+    rows, etas = every[every["trial"] == 0], eta(sums(every, known), known)
     order = np.argsort(-etas, kind="stable")
     cell = cells(rows["descriptor"][:, :3])
     return [
@@ -149,14 +145,6 @@ def ranked(folder: RunFolder) -> list[tuple[float, ...]]:
         )
         for rank, place in enumerate(order.tolist(), start=1)
     ]
-
-
-def _places(rows: Rows, folder: RunFolder) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Which poses of the spec rows are of."""
-    places: np.ndarray[tuple[int], np.dtype[np.int64]] = (
-        rows["generation"].astype(np.int64) * folder.spec.population + rows["index"]
-    )
-    return places
 
 
 def _source(path: Path) -> Source:

@@ -63,6 +63,15 @@ def scored(blocks: Iterable[Rows], trials: int) -> Iterator[Rows]:
         yield scores.take(block)
 
 
+def sums(journal: Rows, trials: int) -> NDArray[np.float64]:
+    """Of each nominal row of a whole journal (n,): its score, 0 for what is no success."""
+    nominal = journal[journal["trial"] == 0]
+    found = Scores(trials).take(journal)
+    totals = np.zeros(len(nominal))
+    totals[np.searchsorted(_names(nominal), _names(found))] = found["fitness"]
+    return totals
+
+
 def eta(fitness: NDArray[np.number], trials: int) -> NDArray[np.float64]:
     """Of scores (n,) over `trials` trials: (n,), 0 to 1."""
     return fitness.astype(np.float64) / (SHAKES * trials)

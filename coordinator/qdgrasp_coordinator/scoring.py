@@ -4,8 +4,6 @@ import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
-
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.crew import Crew
@@ -23,6 +21,7 @@ from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.trials import trials
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 JOB = "evaluate"
@@ -33,10 +32,10 @@ GENERATION = 4096
 def score(
     spec: RunSpec, scene: Scene, bundle: Bundle, poses: Poses, team: Team, display: Display, stop: Stop
 ) -> Rows:
-    """Evaluate poses with a scene's gripper and object; rows in the order of the poses."""
+    """Evaluate poses with a scene's gripper and object; rows as in a journal: in the order of the poses."""
     shape = scene_shape(scene, GIVEN)
     search = Given(poses.genomes(scene), GENERATION)
-    pipeline = Pipeline(search, shape, evaluations=len(poses), overlaps="count", generations_in_flight=1)
+    pipeline = Pipeline(search, shape, evaluations=len(poses), overlaps="count", trials=trials(spec.protocol))
     assignment = Assignment(RUN, to_toml(spec).encode(), bundle, GIVEN, shape, pipeline, len(poses))
     memory = Memory(shape)
     with ExitStack() as stack:
@@ -61,8 +60,4 @@ def score(
             display.show(service.figures(now))
 
         service.run(look)
-    return _complete(memory.rows)
-
-
-def _complete(rows: Rows) -> Rows:
-    return rows[np.lexsort((rows["index"], rows["generation"]))]
+    return memory.rows

@@ -121,8 +121,11 @@ def to_values(spec: RunSpec) -> dict[str, Any]:
 
 
 def to_toml(spec: RunSpec) -> str:
-    """The full spec as TOML; fields that are None are left out."""
-    return tomli_w.dumps(to_values(spec))
+    """The full spec as TOML; fields that are None are left out, and each pose has a line."""
+    values = to_values(spec)
+    poses = values.pop("poses", ())
+    lines = "".join(f"    [{', '.join(map(repr, pose))}],\n" for pose in poses)
+    return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "")
 
 
 def _expected(kind: Any) -> str:

@@ -13,6 +13,7 @@ from qdgrasp_coordinator.scoring import score
 from qdgrasp_coordinator.supervisor import Team
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.spec import run_spec
+from qdgrasp_protocol.trials import trials
 
 
 def evaluate(
@@ -30,7 +31,8 @@ def evaluate(
 
     The file holds base_position (n, 3) [m] and base_quaternion_xyzw (n, 4) of the hand's root link and,
     where the hand has them, synergy (n,) and spread (n, 2) [rad]; -1 and NaN mean none. Written are
-    valid, touched, success (bool), fitness (uint8) and more, in the order that came.
+    valid, touched, success (bool), fitness (uint8) and more, in the order that came; with a protocol that has
+    trials also eta, the share of their shakes that was survived.
 
     Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
     """
@@ -54,5 +56,5 @@ def evaluate(
             rows = score(spec, scene, bundle, given, team, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
-    write_scores(out, rows)
-    typer.echo(f"{len(rows)} poses scored, written to {out}")
+    write_scores(out, rows, trials(spec.protocol))
+    typer.echo(f"{len(given)} poses scored, written to {out}")

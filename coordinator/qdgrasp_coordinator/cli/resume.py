@@ -7,7 +7,7 @@ import typer
 from qdgrasp_coordinator.budget import extend
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out
-from qdgrasp_coordinator.cli.run import finish
+from qdgrasp_coordinator.cli.run import finish, show_ranking
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.summary import summary
@@ -38,6 +38,7 @@ def resume(
     found = summary(folder)
     if found.complete:
         typer.echo(f"{directory} is finished: {found.words}")
+        show_ranking(folder)
         return
     team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
     with lifetime("qdgrasp resume") as stop, display(directory.name, folder.spec.evaluations) as shown:

@@ -103,6 +103,11 @@ def finish(folder: RunFolder, stop: Stop) -> None:
     typer.echo(found.words)
     if found.evaluations < found.budget:
         typer.echo(f"It ended early: {found.ended}.")
+    show_ranking(folder)
+
+
+def show_ranking(folder: RunFolder) -> None:
+    """Rank the grasps of a complete run that has scored them again."""
     if is_reranking(folder):
         typer.echo(write_ranking(folder))
 
