@@ -1,0 +1,67 @@
+"""Runs made by hand: what they found, in memory and in folders."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from qdgrasp_assets.scene import Scene, pack_scene
+from qdgrasp_coordinator.analysis.history import NU_BINS, History, Steps
+from qdgrasp_coordinator.analysis.target import Target
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.journal_format import Identity
+from qdgrasp_coordinator.journal_writer import JournalWriter
+from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = Shape(genes=2, joints=2)
+NOTHING = Steps(np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
+def random_rows(n: int, seed: int = 0, reach: float = 0.1) -> Rows:
+    """Nominal rows of all outcomes around the object, in journal order, ten to a generation."""
+    random = np.random.default_rng(seed)
+    rows = SHAPE.empty(n)
+    rows["generation"], rows["index"] = np.divmod(np.arange(n), 10)
+    rows["outcome"] = random.integers(Outcome.OVERLAP, Outcome.HELD, n, endpoint=True)
+    rows["fitness"] = np.clip(rows["outcome"].astype(int) - Outcome.DROPPED, 0, 2)
+    rows["base_to_object"][:, :3] = random.uniform(-reach, reach, (n, 3))
+    rows["base_to_object"][:, 6] = 1
+    rows["descriptor"] = rows["base_to_object"][:, :3]
+    rows["nu"], rows["surface_point"] = random.uniform(0, np.pi, n), 0.01
+    return rows
+
+
+def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:
+    """A run's folder with these rows; `settings` are those of its spec."""
+    bundle = pack_scene(msgspec.structs.replace(scene, protocol=settings.get("protocol", "paper")))
+    spec = RunSpec(**{"gripper": "jaw", "object": "block.stl", "mass": 0.1, "population": 10} | settings)
+    folder = RunFolder.create(path, spec, bundle)
+    identity = Identity("run", to_toml(spec), bundle.digest, SHAPE)
+    with JournalWriter.create(path, identity) as journal:
+        journal.begin_turn(1, 0.0)
+        if len(rows):
+            journal.append(Stretch(0, rows, cpu_seconds=len(rows) / 100), 1, 1.0)
+    return folder
+
+
+def climb(*totals: int, every: int = 10) -> Steps:
+    """A number that becomes each of `totals` in turn, every few evaluations."""
+    return Steps(every * np.arange(1, len(totals) + 1), np.array(totals, dtype=np.int64))
+
+
+def made(method: str, cells: Steps, seed: int = 0, evaluations: int = 100, **differing: Any) -> History:
+    """What a run found that is known for its cells alone; its scene has no reference set."""
+    settings = {key: differing.pop(key) for key in list(differing) if key in RunSpec.__struct_fields__}
+    values = {"gripper": "jaw", "object": "block"} | settings
+    spec = RunSpec(**values, method=method, seed=seed, evaluations=100)
+    fields: dict[str, Any] = {
+        "path": Path(f"{method}-s{seed}"), "spec": spec, "target": Target(why="no S_G"),
+        "evaluations": evaluations, "complete": evaluations >= 100, "successes": cells.end, "cells": cells,
+        "robust_cells": NOTHING, "found": None, "robust_found": None, "published": None, "qd_score": 0.0,
+        "nu": np.zeros(NU_BINS, np.int64), "near": 0, "eta": None, "cpu_seconds": 1.0,
+    }  # fmt: skip
+    return History(**fields | differing)

@@ -1,0 +1,109 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.coordinator.analysis.conftest import SceneMaker
+from tests.coordinator.analysis.runs import random_rows, record
+
+from qdgrasp_coordinator.analysis.coverage import coverage
+from qdgrasp_coordinator.analysis.growth import growth
+from qdgrasp_coordinator.analysis.history import Finds, History, Steps, history
+from qdgrasp_coordinator.analysis.reference import ReferenceSet
+from qdgrasp_coordinator.analysis.released import ReleasedArchive
+from qdgrasp_coordinator.analysis.target import Target
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.trials import TRIALS
+
+GRID = np.stack(np.meshgrid(*[np.arange(-4, 3)] * 3), axis=-1).reshape(-1, 3).astype(np.int64)
+KNOWN = ReferenceSet("block", GRID, (np.arange(len(GRID)) % 3).astype(np.uint8))
+ARCHIVE = ReleasedArchive(np.array([-0.083, -0.081, -0.079]), 0.1512)
+"""Its cells are not those of the rounding, so that two elites may share an entry."""
+
+
+def told(tmp_path: Path, make_scene: SceneMaker, rows: Rows, **settings: object) -> History:
+    folder = record(tmp_path / "run", make_scene(), rows, **settings)
+    return history(folder, Target(KNOWN, ARCHIVE))
+
+
+def finds(rows: Rows) -> Finds:
+    success = rows["outcome"] >= Outcome.DROPPED
+    return Finds(rows[success], 1 + np.flatnonzero(success))
+
+
+def at_once(rows: Rows) -> tuple[object, ...]:
+    """What `coverage` says of rows as a whole."""
+    found = rows[rows["outcome"] >= Outcome.DROPPED]
+    said = coverage(found["base_to_object"][:, :3], found["fitness"], KNOWN, ARCHIVE)
+    return said.found, said.robust_found, said.released_found
+
+
+def test_a_number_holds_from_the_evaluation_at_which_it_changes() -> None:
+    rising = Steps(np.array([3, 7]), np.array([1, 5]))
+    assert rising.after([0, 2, 3, 6, 7, 100]).tolist() == [0, 0, 1, 1, 5, 5]
+    assert (rising.end, Steps(np.zeros(0, np.int64), np.zeros(0, np.int64)).end) == (5, 0)
+
+
+@pytest.mark.parametrize("n", [0, 1, 37, 150, 600])
+def test_a_curve_is_at_each_place_what_coverage_says_of_the_rows_up_to_there(n: int) -> None:
+    rows = random_rows(600, seed=3, reach=0.05)
+    whole = finds(rows)
+    curves = (whole.found(KNOWN), whole.found(KNOWN.robust, fitness=2), whole.published(KNOWN, ARCHIVE))
+    assert tuple(int(curve.after(n)) for curve in curves) == at_once(rows[:n])
+
+
+@given(st.integers(0, 2**16), st.integers(0, 60))
+def test_the_count_as_published_is_the_released_archive_s_at_any_time(seed: int, n: int) -> None:
+    rows = random_rows(60, seed, reach=0.02)
+    assert int(finds(rows).published(KNOWN, ARCHIVE).after(n)) == at_once(rows[:n])[2]
+
+
+def test_cells_grow_as_in_the_picture_of_a_run(tmp_path: Path, make_scene: SceneMaker) -> None:
+    rows = random_rows(500)
+    found, drawn = told(tmp_path, make_scene, rows), growth(rows)
+    assert found.cells.after(drawn.evaluations).tolist() == drawn.cells.tolist()
+    assert (found.evaluations, found.successes) == (500, drawn.successes[-1])
+    assert (np.diff(found.cells.totals) > 0).all()
+    assert found.robust_cells.end < found.cells.end
+
+
+def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path, make_scene: SceneMaker) -> None:
+    rows = random_rows(300)
+    found = told(tmp_path, make_scene, rows, overlaps="redraw")
+    assert found.evaluations == np.count_nonzero(rows["outcome"] != Outcome.OVERLAP)
+    assert found.cells.evaluations.max() <= found.evaluations
+
+
+def test_trials_give_eta_and_nothing_else(tmp_path: Path, make_scene: SceneMaker) -> None:
+    nominal = random_rows(10)
+    success = np.flatnonzero(nominal["outcome"] >= Outcome.DROPPED)
+    trials = np.repeat(nominal[success], TRIALS)
+    trials["trial"] = np.tile(np.arange(1, TRIALS + 1), len(success))
+    trials["fitness"], trials["descriptor"], trials["base_to_object"] = 1, 0.5, 0.5
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    alone = told(tmp_path / "a", make_scene, nominal)
+    robust = told(tmp_path / "b", make_scene, np.concatenate([nominal, trials]), protocol="robust")
+    assert len(success) > 2
+    assert (alone.eta, robust.eta) == (None, 0.5)
+    for name in ("evaluations", "successes", "near"):
+        assert getattr(alone, name) == getattr(robust, name)
+    for name in ("cells", "robust_cells", "found", "published"):
+        assert getattr(alone, name).totals.tolist() == getattr(robust, name).totals.tolist()
+
+
+def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(
+    tmp_path: Path, make_scene: SceneMaker
+) -> None:
+    rows = random_rows(4)
+    rows["outcome"], rows["nu"] = Outcome.HELD, [0.0, np.pi / 4, np.pi / 4 + 1e-3, np.pi]
+    found = told(tmp_path, make_scene, rows)
+    assert (found.near, found.near_share) == (2, 0.5)
+    assert (found.nu[:6].sum(), found.nu[23], found.nu.sum()) == (2, 1, 4)
+
+
+def test_a_run_that_has_not_begun_has_found_nothing(tmp_path: Path, make_scene: SceneMaker) -> None:
+    found = told(tmp_path, make_scene, random_rows(0))
+    assert (found.evaluations, found.complete, found.near_share, found.cells.end) == (0, False, None, 0)

@@ -1,0 +1,154 @@
+import csv
+import json
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from tests.coordinator.analysis.conftest import SceneMaker
+from tests.coordinator.analysis.runs import random_rows, record
+from typer.testing import CliRunner
+
+from qdgrasp_coordinator.analysis.harvest import build
+from qdgrasp_coordinator.analysis.report import Report, report
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.summary import summary
+from qdgrasp_protocol.errors import FolderError, UnknownName
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.trials import TRIALS
+
+METHODS = ("contact_me_scs", "contact_rand", "me_scs")
+
+
+@pytest.fixture(autouse=True)
+def few_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("qdgrasp_coordinator.analysis.voxel_figure.PIXELS", 60)
+    monkeypatch.setattr("qdgrasp_coordinator.analysis.sheet.DPI", 60)
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, make_scene: SceneMaker) -> Path:
+    """Three methods with two seeds each, one of them unfinished and one not begun."""
+    home = tmp_path / "small" / "runs"
+    home.mkdir(parents=True)
+    for method in METHODS:
+        for seed in (0, 1):
+            rows = random_rows(100, seed=10 * METHODS.index(method) + seed)
+            rows = rows[: {("me_scs", 0): 70, ("me_scs", 1): 0}.get((method, seed), 100)]
+            settings = {"method": method, "seed": seed, "evaluations": 100}
+            record(home / f"jaw-block-{method}-s{seed}", make_scene(), rows, **settings)
+    return home.parent
+
+
+def table(file: Path) -> list[dict[str, str]]:
+    with file.open() as lines:
+        return list(csv.DictReader(lines))
+
+
+def analysed(campaign: Path, **settings: object) -> Report:
+    return report(campaign, campaign / "analysis", **settings)  # type: ignore[arg-type]
+
+
+def test_four_figures_with_their_data_and_the_tables_are_written(campaign: Path) -> None:
+    found = analysed(campaign)
+    assert (found.runs, found.unfinished, found.left_out) == (6, 2, {})
+    for name in ("coverage", "priors", "nu", "voxels"):
+        picture = matplotlib.image.imread(found.out / f"{name}.png")
+        assert (picture[..., :3].min(axis=-1) < 0.9).mean() > 0.005
+        assert "<svg" in (found.out / f"{name}.svg").read_text()
+        assert len(table(found.out / f"{name}.csv")) > 3
+    assert len(table(found.out / "runs.csv")) == 6
+    assert {row["method"] for row in table(found.out / "methods.csv")} == set(METHODS)
+    assert {row["claim"] for row in table(found.out / "claims.csv")} == set("abcde")
+
+
+def test_the_tables_have_the_figures_of_info(campaign: Path) -> None:
+    out = analysed(campaign).out
+    for row in table(out / "runs.csv"):
+        said = summary(RunFolder.open(campaign / "runs" / row["run"]))
+        for name in ("evaluations", "successes", "cells"):
+            assert int(row[name]) == getattr(said, name)
+        assert float(row["qd_score"]) == said.qd_score
+        assert row["finished"] == ("yes" if said.complete else "no")
+
+
+def test_medians_are_over_the_runs_that_have_begun(campaign: Path) -> None:
+    out = analysed(campaign).out
+    cells = {row["run"]: int(row["cells"]) for row in table(out / "runs.csv")}
+    medians = {row["method"]: float(row["cells"]) for row in table(out / "methods.csv")}
+    assert medians["me_scs"] == cells["jaw-block-me_scs-s0"]
+    assert medians["contact_rand"] == np.median([cells[f"jaw-block-contact_rand-s{seed}"] for seed in (0, 1)])
+
+
+def test_the_page_names_what_is_unfinished_and_why_there_is_no_coverage(campaign: Path) -> None:
+    page = (analysed(campaign).out / "tables.md").read_text()
+    assert "`jaw-block-me_scs-s0` (70 of 100), `jaw-block-me_scs-s1` (0 of 100)" in page
+    assert "No coverage: no S_G of jaw and block." in page
+    assert "| me_scs | 2, 2 unfinished |" in page
+    assert (
+        "| b | contact and approach variants of ME_scs end close together | **not in this campaign** |"
+        in page
+    )
+    assert "nan" not in page
+
+
+def test_the_same_runs_give_the_same_bytes(campaign: Path) -> None:
+    first, second = (report(campaign, campaign / name) for name in ("one", "two"))
+    names = sorted(file.name for file in first.out.iterdir())
+    assert len(names) == 4 * 3 + 4
+    for name in names:
+        assert (first.out / name).read_bytes() == (second.out / name).read_bytes(), name
+
+
+def test_coverage_is_drawn_where_there_is_a_set(campaign: Path) -> None:
+    own = campaign / "own.npz"
+    build([RunFolder.open(campaign / "runs/jaw-block-contact_me_scs-s0")], own)
+    out = analysed(campaign, references=[own]).out
+    curves = table(out / "coverage.csv")
+    assert {row["measure"] for row in curves} == {"coverage"}
+    (whole,) = [row for row in table(out / "runs.csv") if row["run"] == "jaw-block-contact_me_scs-s0"]
+    assert (float(whole["coverage"]), float(whole["robust"])) == (1.0, 1.0)
+
+
+def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
+    tmp_path: Path, make_scene: SceneMaker
+) -> None:
+    rows = random_rows(30)
+    rows["outcome"] = Outcome.MISSED
+    record(tmp_path / "runs/a", make_scene(), rows, method="contact_rand", evaluations=30)
+    (tmp_path / "analysis").mkdir()
+    (tmp_path / "analysis/nu.png").touch()
+    found = analysed(tmp_path)
+    assert set(found.left_out) == {"priors", "nu", "voxels"}
+    assert sorted(file.name for file in found.out.glob("*.png")) == ["coverage.png"]
+    assert "Not drawn: nothing was found." in (found.out / "tables.md").read_text()
+
+
+def test_cells_of_robust_runs_have_an_eta(tmp_path: Path, make_scene: SceneMaker) -> None:
+    nominal = random_rows(10)
+    trials = np.repeat(nominal[nominal["outcome"] >= Outcome.DROPPED], TRIALS)
+    trials["trial"], trials["fitness"] = 1 + np.arange(len(trials)) % TRIALS, 1
+    rows = np.concatenate([nominal, trials])
+    record(tmp_path / "runs/a", make_scene(), rows, protocol="robust", evaluations=10)
+    out = analysed(tmp_path).out
+    assert {row["eta"] for row in table(out / "voxels.csv")} == {"0.5"}
+    assert table(out / "runs.csv")[0]["eta"] == "0.5"
+
+
+def test_what_cannot_be_drawn_is_refused(tmp_path: Path, campaign: Path, make_scene: SceneMaker) -> None:
+    with pytest.raises(UnknownName, match="method in this campaign 'approach_rand'"):
+        analysed(campaign, method="approach_rand")
+    record(tmp_path / "empty/a", make_scene(), random_rows(0))
+    with pytest.raises(FolderError, match="has recorded an evaluation yet"):
+        analysed(tmp_path / "empty")
+
+
+def test_the_command_prints_the_verdicts(campaign: Path) -> None:
+    said = CliRunner().invoke(app, ["analyse", str(campaign), "--log"]).stdout
+    assert "(c) antipodal plateaus: not in this campaign." in said
+    assert "6 runs, 2 of them unfinished." in said
+    done = CliRunner().invoke(app, ["analyse", str(campaign), "--json", "--method", "contact_rand"])
+    values = json.loads(done.stdout)
+    assert (values["runs"], values["claims"]["c"], values["left_out"]) == (6, "not in this campaign", {})
+    assert {row["method"] for row in table(campaign / "analysis/voxels.csv")} == {"contact_rand"}
