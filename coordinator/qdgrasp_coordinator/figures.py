@@ -58,6 +58,8 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     successes: int
     cells: int
     """Distinct 1 cm cells with a success, summed over the runs."""
+    trials: int = 0
+    """Trials of successes, by this coordinator; 0 where no protocol has them."""
     workers: int
     """Workers that have joined."""
     seconds: float
@@ -75,7 +77,8 @@ class JobFigures(Struct, frozen=True, kw_only=True):
         if self.trouble:
             return f"{done}, paused: {self.trouble}"
         found = f"{self.successes} successes in {self.cells} cells"
-        return f"{done}, {self.rate:.0f}/s, {found}, {self.workers} workers"
+        trials = f"{self.trials} trials, " if self.trials else ""
+        return f"{done}, {self.rate:.0f}/s, {found}, {trials}{self.workers} workers"
 
     @property
     def left(self) -> str:

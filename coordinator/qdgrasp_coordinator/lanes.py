@@ -48,6 +48,7 @@ class Lanes:
         self._counted = programme.extent.evaluations_done
         self._replayed = programme.extent.evaluations_done
         self._successes = programme.extent.successes_done
+        self._trials = 0
         self._cells = programme.extent.cells_done
         self._began = time.monotonic()
 
@@ -117,6 +118,7 @@ class Lanes:
         self._done += 1
         self._counted += lane.tally.evaluations
         self._successes += lane.tally.successes
+        self._trials += lane.tally.trials
         self._cells += lane.tally.cells
 
     def close(self) -> None:
@@ -149,6 +151,7 @@ class Lanes:
             budget=self._extent.evaluations,
             successes=self._successes + sum(lane.tally.successes for lane in lanes),
             cells=self._cells + sum(lane.tally.cells for lane in lanes),
+            trials=self._trials + sum(lane.tally.trials for lane in lanes),
             workers=workers,
             seconds=seconds,
             rate=(counted - replayed) / seconds if seconds > 0 else 0.0,
