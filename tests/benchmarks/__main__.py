@@ -6,29 +6,12 @@ them as ratios to the first line and to each other.
 
 import argparse
 import json
-import os
-import platform
 import sys
-from importlib.metadata import version
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 from tests.benchmarks import coordination, evaluations, recording
-from tests.benchmarks.measure import Figure
-
-PACKAGES = ("qdgrasp", "pybullet", "numpy", "ribs", "eclipse-zenoh")
-
-
-def machine() -> dict[str, object]:
-    models = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line]
-    return {
-        "cpu": models[0].partition(":")[2].strip() if models else platform.processor(),
-        "cores": len(os.sched_getaffinity(0)),
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
-    }
+from tests.benchmarks.measure import Figure, machine
 
 
 def table(figures: list[Figure]) -> Table:

@@ -1,9 +1,15 @@
 """Counting what is done against the CPU time that it takes."""
 
+import os
+import platform
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+PACKAGES = ("qdgrasp", "pybullet", "numpy", "ribs", "eclipse-zenoh")
 
 
 @dataclass(frozen=True)
@@ -45,3 +51,14 @@ class Meter:
         began = time.process_time()
         yield
         self.seconds += time.process_time() - began
+
+
+def machine() -> dict[str, object]:
+    models = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line]
+    return {
+        "cpu": models[0].partition(":")[2].strip() if models else platform.processor(),
+        "cores": len(os.sched_getaffinity(0)),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in PACKAGES},
+    }
