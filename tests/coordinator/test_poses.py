@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.poses import read_poses, scores, write_scores
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_coordinator.poses import as_given, postures, read_poses, scores, write_scores
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Shape
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.decode import Decoder
+from qdgrasp_worker.surface import Surface
 
 POSES = {
     "base_position": np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]]),
@@ -93,3 +99,40 @@ def test_a_place_that_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
     with pytest.raises(InputError, match="nowhere"):
         write_scores(tmp_path / "nowhere" / "scores.npz", Shape(genes=7, joints=2).empty(1))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("prior", ["contact", "spherical"])
+@pytest.mark.parametrize("hand", ["panda", "barrett", "shadow"])
+def test_rows_as_given_poses_decode_to_the_very_same_grasps(hand: str, prior: str) -> None:
+    """Bit for bit, so that their trials are disturbed in the same way; and so once more."""
+    scene, random = build_scene(RunSpec(gripper=hand, object="tennis_ball")), np.random.default_rng(3)
+    surface = Surface(scene)
+    genomes = random.uniform(-1, 1, (200, len(layout(scene, prior)))).astype(np.float32)
+    expected = Decoder(scene, prior, surface)(genomes)
+    for known in (prior, GIVEN):
+        rows = Shape(genomes.shape[1], len(scene.gripper.joints)).empty(200)
+        rows["genome"] = genomes
+        rows["base_to_object"] = np.hstack([expected.positions, expected.quaternions])
+        assert postures(scene, known, rows).tobytes() == expected.joints.tobytes()
+        genomes = as_given(scene, known, rows)
+        found = Decoder(scene, GIVEN, surface)(genomes)
+        for column in ("positions", "quaternions", "joints", "synergies"):
+            assert getattr(found, column).tobytes() == getattr(expected, column).tobytes()
+
+
+def test_scores_of_poses_in_trials_tell_their_eta() -> None:
+    rows = Shape(genes=7, joints=2).empty(6)
+    rows["index"], rows["trial"] = [0, 1, 2, 1, 1, 1], [0, 0, 0, 1, 2, 3]
+    rows["outcome"] = [
+        Outcome.MISSED,
+        Outcome.HELD,
+        Outcome.OVERLAP,
+        Outcome.HELD,
+        Outcome.SHAKEN,
+        Outcome.ERROR,
+    ]
+    rows["fitness"] = [0, 2, 0, 2, 1, 0]
+    found = scores(rows, trials=3)
+    assert found["eta"].tolist() == [0, 0.5, 0]
+    assert found["success"].tolist() == [False, True, False]
+    assert "eta" not in scores(rows[:3])
