@@ -85,6 +85,11 @@ class JobFolder:
         """Whether its runs have folders of their own; a recorder elsewhere has no campaign file."""
         return (self.path / CAMPAIGN).is_file() or (self.path / RUNS).is_dir()
 
+    @property
+    def resume_command(self) -> str:
+        """What goes on with the job."""
+        return f"qdgrasp {'campaign' if self.is_campaign else 'resume'} {self.path}"
+
     def run_path(self, run: str) -> Path:
         """Where the folder of a run is, or is to be."""
         return self.path if run == RUN else self.path / RUNS / run

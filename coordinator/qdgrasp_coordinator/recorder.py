@@ -18,6 +18,7 @@ import structlog
 
 from qdgrasp_coordinator.books import Books
 from qdgrasp_coordinator.intake import Verdict
+from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.reports import Reports
 from qdgrasp_coordinator.room import Room
 from qdgrasp_protocol import chunks, codec
@@ -200,7 +201,7 @@ class RecorderService:
         """Say that the disk is full, and try again soon; give up when it was full for too long."""
         if not self._room.trouble:
             log.warning("the disk is full; trying again until there is room", reason=str(full))
-        self._room.missed(short(str(full)), now)
+        self._room.missed(short(str(full)), now, JobFolder(self._path).resume_command)
         for run in self._books.due(inf):
             self._reports.news(run, now)
 

@@ -29,8 +29,8 @@ class Room:
         self.try_at = -inf
         """When to try to write again."""
 
-    def missed(self, reason: str, now: float) -> None:
-        """Note that something did not fit.
+    def missed(self, reason: str, now: float, command: str) -> None:
+        """Note that something did not fit; `command` goes on once there is room.
 
         Raises
         ------
@@ -41,8 +41,7 @@ class Room:
             self._since = now
         elif now - self._since > self._patience:
             raise DiskFull(
-                f"{self._path} has had no room for {self._patience:g} s; "
-                f"make room, then `qdgrasp resume {self._path}` goes on."
+                f"{self._path} has had no room for {self._patience:g} s; make room, then `{command}` goes on."
             )
         self.trouble = reason
         self.try_at = now + RETRY_INTERVAL

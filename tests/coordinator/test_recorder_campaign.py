@@ -211,5 +211,6 @@ class TestFullDisk:
             send_in_turns(coordinator, "ab", 1000)
             running.ends()
             assert isinstance(running.error, DiskFull)
+            assert f"`qdgrasp campaign {path}` goes on" in str(running.error)
         assert recorded(path, "a") == recorded(path, "b") == b""
         JobFolder(path).check_not_in_use()

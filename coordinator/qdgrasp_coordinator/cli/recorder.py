@@ -1,4 +1,4 @@
-"""`qdgrasp-recorder`: the process that writes a run's journal."""
+"""`qdgrasp-recorder`: the process that writes the journals of a job's runs."""
 
 import signal
 from pathlib import Path
@@ -19,14 +19,17 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 @app.command()
 def recorder(
     job: Annotated[str, typer.Option(help="Name of the job on the bus.")],
-    out: Annotated[Path, typer.Option(help="The run's folder; begun where there is none.")],
+    out: Annotated[
+        Path, typer.Option(help="The job's folder, a run's or a campaign's; begun where there is none.")
+    ],
     connect: Annotated[str, typer.Option(help="Endpoint of the router.")] = "tcp/127.0.0.1:7447",
     disk_wait: options.DiskWait = 60.0,
     wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
 ) -> None:
-    """Write what a job finds to a run's folder, and tell its coordinator what is safe on the disk.
+    """Write what a job finds to its folder, and tell its coordinator what is safe on the disk.
 
-    The folder must not be on a network file system. One recorder at a time writes in it.
+    A single run's records lie in the folder itself, those of a campaign's runs in DIR/runs/RUN. The folder
+    must not be on a network file system. One recorder at a time writes in it.
 
     Example: qdgrasp-recorder --connect tcp/head-node:7447 --job mugs --out runs/mugs
     """
