@@ -76,6 +76,16 @@ class Judged:
         return len(self.claim.methods) - len(self.findings)
 
     @property
+    def is_of_few(self) -> bool:
+        """Whether one of its numbers has so few runs behind it that its interval is too narrow."""
+        return any(finding.is_of_few for finding in self.findings)
+
+    @property
+    def words(self) -> str:
+        """The verdict for a person."""
+        return f"{self.verdict.value}{' (of few runs)' if self.is_of_few else ''}"
+
+    @property
     def verdict(self) -> Verdict:
         """All numbers agree, one does not, or neither can be said."""
         verdicts = {self.claim.band.verdict(finding.interval) for finding in self.findings}

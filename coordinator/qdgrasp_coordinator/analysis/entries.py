@@ -55,6 +55,11 @@ class Entry:
         return f"{self.method} {self.variant}".rstrip()
 
     @property
+    def arm(self) -> tuple[str, str]:
+        """Method and variant: what it is on every scene."""
+        return self.method, self.variant
+
+    @property
     def target(self) -> Target:
         """What its positions are compared with."""
         return self.runs[0].target

@@ -1,6 +1,5 @@
 """The figure of nu: how the successes of each method lean from the surface normal."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,6 +28,7 @@ class Lean:
     """The distribution of nu of a method's successes."""
 
     method: str
+    variant: str
     share: NDArray[np.float64]
     """(24,): mean over scenes of the mean over runs of the share of successes in each bin."""
     near: Interval
@@ -54,21 +54,25 @@ def _lean(entries: Sequence[Entry]) -> Lean:
     share = np.mean([np.mean([run.nu / run.nu.sum() for run in runs], axis=0) for runs in scenes], axis=0)
     ends = [run.evaluations for runs in scenes for run in runs]
     near = near_share(entries)
-    return Lean(entries[0].method, share, near, len(scenes), len(ends), (min(ends), max(ends)))
+    return Lean(*entries[0].arm, share, near, len(scenes), len(ends), (min(ends), max(ends)))
 
 
 def draw_nu(found: Sequence[Lean]) -> Sheet:
-    """A column for each prior, a row for each family of searches."""
+    """A column for each prior, a row for each family of searches and each of its variants."""
     priors = [prior for prior in SHOWN if any(prior_of(lean.method) == prior for lean in found)]
-    families = [family for family in FAMILIES if any(family_of(lean.method) == family for lean in found)]
-    sheet = Sheet(max(len(families), 1), max(len(priors), 1), PANEL, over=0.7)
+    rows = sorted({_row(lean) for lean in found}, key=lambda row: (list(FAMILIES).index(row[0]), row[1]))
+    sheet = Sheet(len(rows), len(priors), PANEL, over=0.7)
     for lean in found:
-        top = max(float(one.share.max()) for one in found if family_of(one.method) == family_of(lean.method))
-        place = families.index(family_of(lean.method)), priors.index(prior_of(lean.method))
-        _draw(sheet.axes(*place), lean, top)
+        row = _row(lean)
+        top = max(float(one.share.max()) for one in found if _row(one) == row)
+        _draw(sheet.axes(rows.index(row), priors.index(prior_of(lean.method))), lean, top)
     words = "Share of successes in bins of 7.5\u00b0; each scene and each run counts alike."
     sheet.title("Lean \u03bd of successes from the surface normal", words)
     return sheet
+
+
+def _row(lean: Lean) -> tuple[str, str]:
+    return family_of(lean.method), lean.variant
 
 
 def _draw(axes: Axes, lean: Lean, top: float) -> None:
@@ -104,9 +108,5 @@ def behind_words(lean: Lean) -> str:
     low, high = lean.evaluations
     ends = f"{low:,}" if low == high else f"{low:,}\u2013{high:,}"
     runs, scenes = ("run" if lean.runs == 1 else "runs"), ("scene" if lean.scenes == 1 else "scenes")
-    return f"{lean.runs} {runs} \u00d7 {ends} evaluations, {lean.scenes} {scenes}"
-
-
-def degrees() -> NDArray[np.float64]:
-    """The edges of the bins [deg]: (25,)."""
-    return np.degrees(np.linspace(0, math.pi, NU_BINS + 1))
+    variant = f"{lean.variant}: " if lean.variant else ""
+    return f"{variant}{lean.runs} {runs} \u00d7 {ends} evaluations, {lean.scenes} {scenes}"

@@ -9,6 +9,8 @@ from qdgrasp_coordinator.analysis.entries import Entry, SceneName
 from qdgrasp_coordinator.analysis.findings import FEW, Finding
 from qdgrasp_coordinator.analysis.tables import Row, method_rows
 
+MARK = " \\*"
+"""Of what few runs are behind."""
 CAPTIONS = {
     "coverage": "Every method over its evaluations: median over seeds and interquartile range. Coverage is "
     "de-duplicated (distinct entries of S_G found, over its size); where a scene has no S_G, success cells "
@@ -100,12 +102,12 @@ def _verdict(one: Judged) -> str:
     lacking = (
         f" ({one.absent} of {len(one.claim.methods)} numbers not in this campaign)" if one.absent else ""
     )
-    return f"**{one.verdict.value}**{lacking if one.findings else ''}"
+    return f"**{one.verdict.value}**{MARK if one.is_of_few else ''}{lacking if one.findings else ''}"
 
 
 def _judged(one: Judged) -> Iterable[tuple[Finding, str]]:
     for found in one.findings:
-        yield found, one.claim.band.verdict(found.interval).value + (" \\*" if found.is_of_few else "")
+        yield found, one.claim.band.verdict(found.interval).value + (MARK if found.is_of_few else "")
     for found in one.beside:
         yield found, "to compare with"
 

@@ -3,11 +3,14 @@
 The hues are those of Okabe and Ito, told apart with any colour vision.
 """
 
+from collections.abc import Iterable, Sequence
+from typing import Literal, NamedTuple
+
 from matplotlib.colors import to_hex, to_rgb
 
 from qdgrasp_coordinator.search import METHODS, PRIORS
 
-Dashes = str | tuple[int, tuple[float, ...]]
+Dashes = Literal["-"] | tuple[float, Sequence[float]]
 INK, FAINT, RULE, CONTEXT = "#22262b", "#69717a", "#d9dde1", "#c9ced3"
 """Text, text beside it, rules, and curves that only give context."""
 HUES = {"contact": "#0072b2", "approach": "#d55e00", "antipodal": "#009e73", "spherical": "#4d4d4d"}
@@ -20,7 +23,20 @@ FAMILIES: dict[str, Dashes] = {
     "rand": (0, (4.2, 2.2)),
 }
 """Line styles: the searches are drawn through, dotted or dash-dotted, plain sampling is dashed."""
+PALEST = 0.65
+"""How much white is in the palest of a method's variants."""
 ORDER = ("contact", "approach", "antipodal", "spherical")
+
+
+Arm = tuple[str, str]
+"""A method, and the words that tell its variant from others."""
+
+
+class Look(NamedTuple):
+    """How an arm is drawn."""
+
+    colour: str
+    dashes: Dashes
 
 
 def prior_of(method: str) -> str:
@@ -33,16 +49,22 @@ def family_of(method: str) -> str:
     return method.removeprefix(PRIORS[prior_of(method)].prefix)
 
 
-def hue_of(method: str, variant: int = 0) -> str:
-    """The colour of a method; of the variants of one, each is paler than the one before."""
-    share = min(0.75, 0.22 * variant)
-    red, green, blue = (part + (1 - part) * share for part in to_rgb(HUES[prior_of(method)]))
+def looks(arms: Iterable[Arm]) -> dict[Arm, Look]:
+    """The look of each arm; of the variants of one method, each is paler than the one before."""
+    variants: dict[str, list[Arm]] = {}
+    for arm in dict.fromkeys(arms):
+        variants.setdefault(arm[0], []).append(arm)
+    return {
+        arm: Look(hue_of(method, place / max(1, len(same) - 1)), FAMILIES[family_of(method)])
+        for method, same in variants.items()
+        for place, arm in enumerate(same)
+    }
+
+
+def hue_of(method: str, pale: float = 0.0) -> str:
+    """The colour of a method, from its full hue at 0 to the palest of its variants at 1."""
+    red, green, blue = (part + (1 - part) * PALEST * pale for part in to_rgb(HUES[prior_of(method)]))
     return to_hex((red, green, blue))
-
-
-def dashes_of(method: str) -> Dashes:
-    """The line style of a method."""
-    return FAMILIES[family_of(method)]
 
 
 def words_of(prior: str) -> str:

@@ -13,11 +13,12 @@ from pathlib import Path
 
 from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.analysis.claims import Judged, judged
-from qdgrasp_coordinator.analysis.curve_figures import Panel, draw_curves, draw_matrix, panels
+from qdgrasp_coordinator.analysis.curve_figures import draw_curves, draw_matrix
 from qdgrasp_coordinator.analysis.entries import Entry, entries, histories, run_folders
 from qdgrasp_coordinator.analysis.nu_figure import draw_nu, leans
 from qdgrasp_coordinator.analysis.page import page
 from qdgrasp_coordinator.analysis.palette import family_of
+from qdgrasp_coordinator.analysis.panels import Panel, panels
 from qdgrasp_coordinator.analysis.sheet import Sheet
 from qdgrasp_coordinator.analysis.tables import (
     Row,

@@ -37,6 +37,6 @@ def analyse(
         typer.echo(json.dumps({**values, "claims": verdicts, "left_out": found.left_out}))
         return
     for one in found.claims:
-        typer.echo(f"({one.claim.letter}) {one.claim.words}: {one.verdict.value}.")
+        typer.echo(f"({one.claim.letter}) {one.claim.words}: {one.words}.")
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
     typer.echo(f"{found.runs} runs{mark}. Figures and tables: {found.out / 'tables.md'}")
