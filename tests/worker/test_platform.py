@@ -1,5 +1,6 @@
 """What a worker says of the platform that its results come from."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import qdgrasp_worker.platform as module
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.platform import PROBES, code_digest, platform, probe_digest, probe_scene, probes
+from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 
 
 def test_the_platform_names_versions_and_digests_in_words():
@@ -35,6 +37,12 @@ def test_a_probe_that_fares_otherwise_changes_the_digest(monkeypatch):
     digest, moved = probe_digest(), probes()
     moved[0, 6] += 0.01
     monkeypatch.setattr(module, "probes", lambda: moved)
+    assert probe_digest() != digest
+
+
+def test_trials_that_are_drawn_otherwise_change_the_digest(monkeypatch):
+    digest, drawn_otherwise = probe_digest(), replace(MIXTURE, seed=1)
+    monkeypatch.setitem(PROTOCOLS, "robust", replace(ROBUST, mixture=drawn_otherwise))
     assert probe_digest() != digest
 
 

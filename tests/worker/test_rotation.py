@@ -7,7 +7,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_worker.rotation import conjugate, dot, from_frame, multiply, tangents, turned, unit
+from qdgrasp_worker.rotation import (
+    conjugate,
+    dot,
+    from_euler,
+    from_frame,
+    multiply,
+    rotate,
+    tangents,
+    turned,
+    unit,
+)
 
 components = st.floats(-1.0, 1.0, allow_nan=False, width=32)
 vectors = arrays(np.float64, (5, 3), elements=components).filter(
@@ -73,6 +83,18 @@ def test_products_and_inverses_agree_with_scipy(a, b):
     by_scipy = (Rotation.from_quat(a) * Rotation.from_quat(b).inv()).as_quat()
     ours = multiply(a, conjugate(b))
     np.testing.assert_allclose(np.abs((ours * by_scipy).sum(axis=1)), 1.0, atol=1e-9)
+
+
+@given(quaternions, vectors)
+def test_vectors_turn_as_scipy_turns_them(raw, vectors):
+    found = rotate(unit(raw), vectors)
+    np.testing.assert_allclose(found, Rotation.from_quat(raw).apply(vectors), atol=1e-12)
+
+
+@given(arrays(np.float64, (5, 3), elements=st.floats(-7.0, 7.0)))
+def test_euler_angles_turn_about_fixed_axes_in_the_order_of_their_names(angles):
+    by_scipy = Rotation.from_euler("xyz", angles)
+    assert (Rotation.from_quat(from_euler(angles)) * by_scipy.inv()).magnitude().max() < 1e-7
 
 
 @given(vectors, vectors)
