@@ -172,7 +172,8 @@ class RecorderService:
         opened = self._books.open(asked)
         self._have_room()
         self._watch([run.run for run in asked.runs])
-        log.info("opened", runs=len(asked.runs), epoch=opened.epoch, rows=sum(opened.durable))
+        for run, rows in zip(asked.runs, opened.durable, strict=True):
+            log.info("opened", run=run.run, epoch=opened.epoch, rows=rows)
         return codec.encode(opened)
 
     def _watch(self, runs: list[str]) -> None:
