@@ -66,7 +66,7 @@ def rerank(
     folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
     RunFolder.check_free(folder)
     chosen = _chosen(source, top, (object_pose or "0,0,0") if discard_table else None)
-    spec = _spec(source, protocol, chosen)
+    spec = spec_of(source, protocol, chosen)
     team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
     with display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {len(chosen)} grasps of {directory} again")
@@ -95,7 +95,7 @@ def _chosen(source: RunFolder, top: int, object_pose: str | None) -> Rows:
     return best(found, top)
 
 
-def _spec(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
+def spec_of(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
     """The spec of a run that scores grasps of another."""
     genomes = as_given(source.scene(), method(source.spec.method).prior, chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
