@@ -4,46 +4,74 @@ from pathlib import Path
 
 from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.campaign import Campaign, read_campaign
+from qdgrasp_coordinator.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.job_folder import CAMPAIGN, LOGS, RUNS, Job, JobFolder
+from qdgrasp_coordinator.programme import Extent
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import job_name
 
 
-def begin(path: Path, asked: Campaign, job: str | None = None) -> JobFolder:
-    """The folder at `path`, made where there is none; it holds the campaign that is asked for.
+def begin(path: Path, asked: Campaign, job: str | None = None) -> Extent:
+    """Have the folder at `path` hold the campaign that is asked for; it is made where there is none.
 
     Parameters
     ----------
     job
         The job's name for a new folder; None: the folder's name, reduced to the allowed characters.
 
+    Returns
+    -------
+    extent
+        How much there is to do, and what of it is done.
+
     Raises
     ------
-    FolderError
-        The folder holds a single run, runs that are not asked for any more, or other files, or is in use.
+    FolderError, ImpossibleValue
+        The folder holds a single run, another job, other files, runs that are not asked for any more, or one
+        that is asked for with another spec or with less than it has; or it is in use. It is left as it was.
     """
     if not JobFolder.is_job(path):
         disk.check_free(path)
         files = Job(job or job_name(path.absolute().name)).file | {CAMPAIGN: asked.toml.encode()}
         disk.create(path, files, folders=[LOGS, RUNS])
-        return JobFolder(path)
+        return CampaignRuns(None, asked.runs).extent
+    folder = open_campaign(path)
+    if job not in (None, folder.name):
+        raise FolderError(f"{path} is of job '{folder.name}', not '{job}'; leave --job out.")
+    folder.check_not_in_use()
+    _check_kept(folder, asked)
+    extent = CampaignRuns(folder, asked.runs).extent
+    _hold(folder, asked)
+    return extent
+
+
+def open_campaign(path: Path) -> JobFolder:
+    """The folder of a campaign that was begun.
+
+    Raises
+    ------
+    FolderError
+        There is none at `path`.
+    """
     folder = JobFolder.open(path)
     if not folder.is_campaign:
-        raise FolderError(f"{path} holds a single run, no campaign; name another folder with --out.")
-    folder.check_not_in_use()
-    _grow(folder, asked)
+        raise FolderError(f"{path} holds a single run, no campaign; name the folder of a campaign.")
     return folder
 
 
-def _grow(folder: JobFolder, asked: Campaign) -> None:
-    """Have the folder's campaign hold what is asked for: what it held before, or more."""
-    file = folder.path / CAMPAIGN
-    lost = [name for name in read_campaign(file).runs if name not in asked.runs]
+def _check_kept(folder: JobFolder, asked: Campaign) -> None:
+    """Check that every run that the folder's campaign has is asked for."""
+    lost = [name for name in read_campaign(folder.path / CAMPAIGN).runs if name not in asked.runs]
     if lost:
         raise FolderError(
             f"{folder.path} is of a campaign with {len(lost)} runs that are not asked for any more, such as "
-            f"'{lost[0]}'; leave them in the file, or name another folder with --out."
+            f"'{lost[0]}'; leave them in the file, or name another folder with --out. "
+            f"`qdgrasp campaign {folder.path}` goes on with the campaign as it was."
         )
+
+
+def _hold(folder: JobFolder, asked: Campaign) -> None:
+    file = folder.path / CAMPAIGN
     if file.read_bytes() != asked.toml.encode():
         with disk.writing(folder.path):
             disk.write(file, asked.toml.encode())

@@ -14,7 +14,7 @@ from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.programme import Extent
 from qdgrasp_coordinator.tally import Tally
-from qdgrasp_protocol.errors import FolderError, InputError, RunFailed
+from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, RunFailed
 from qdgrasp_protocol.spec import RunSpec
 
 SCENE = ("gripper", "object", "mass", "friction", "protocol", "surface_seed")
@@ -40,17 +40,8 @@ class CampaignRuns:
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
         self._runs = runs
-        known = {name: recorded(folder.run_path(name), spec) for name, spec in runs.items()} if folder else {}
-        done = {name: found for name, found in known.items() if found is not None and found.finished}
-        self.extent = Extent(
-            runs=len(runs),
-            evaluations=sum(spec.evaluations for spec in runs.values()),
-            runs_done=len(done),
-            evaluations_done=sum(found.evaluations for found in done.values()),
-            successes_done=sum(found.successes for found in done.values()),
-            cells_done=sum(found.cells for found in done.values()),
-        )
-        self._left = deque(name for name in runs if name not in done)
+        self.extent = Extent(runs=len(runs), evaluations=sum(spec.evaluations for spec in runs.values()))
+        self._left = deque(name for name, spec in runs.items() if not self._is_done(name, spec))
         self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
 
     def next(self) -> Assignment | None:
@@ -60,14 +51,29 @@ class CampaignRuns:
         ------
         RunFailed
             Its scene cannot be built, or its folder not be written.
+        DiskFull
+            There is no room for its folder; it stays the next.
         """
         if not self._left:
             return None
-        name = self._left.popleft()
+        name = self._left[0]
         try:
-            return self._make(name, self._runs[name])
+            made = self._make(name, self._runs[name])
+        except DiskFull:
+            raise
         except InputError as error:
+            self._left.popleft()
             raise RunFailed(name, str(error)) from None
+        self._left.popleft()
+        return made
+
+    def _is_done(self, name: str, spec: RunSpec) -> bool:
+        """Whether a run is finished; what it found is then added to the extent."""
+        found = recorded(self._folder.run_path(name), spec) if self._folder else None
+        if found is None or not found.finished:
+            return False
+        self.extent = self.extent.with_done(found)
+        return True
 
     def _make(self, name: str, spec: RunSpec) -> Assignment:
         path = self._folder.run_path(name) if self._folder else None

@@ -1,9 +1,10 @@
 """The programme of a job: its runs, one after the other, each made when its turn comes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from qdgrasp_coordinator.assignment import Assignment
+from qdgrasp_coordinator.tally import Tally
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,16 @@ class Extent:
     cells_done: int = 0
     """Their distinct cells with a success, summed over runs."""
 
+    def with_done(self, found: Tally) -> "Extent":
+        """The same, with one more run that was finished before."""
+        return replace(
+            self,
+            runs_done=self.runs_done + 1,
+            evaluations_done=self.evaluations_done + found.evaluations,
+            successes_done=self.successes_done + found.successes,
+            cells_done=self.cells_done + found.cells,
+        )
+
 
 class Programme(Protocol):
     """What every programme does."""
@@ -34,6 +45,8 @@ class Programme(Protocol):
         ------
         RunFailed
             It cannot be made; the one behind it still may.
+        DiskFull
+            There is no room for it now; it is made when `next` is called again and there is.
         """
 
 

@@ -5,14 +5,15 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_coordinator import campaign_folder
 from qdgrasp_coordinator.campaign import Campaign, read_campaign
+from qdgrasp_coordinator.campaign_folder import begin, open_campaign
 from qdgrasp_coordinator.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped
 from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import lifetime
 
 
@@ -34,13 +35,13 @@ def campaign(
 
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
     """
-    path = what if what.is_dir() else out or Path("runs") / what.stem
-    asked = read_campaign(JobFolder.open(what).path / CAMPAIGN if what.is_dir() else what)
+    path = _place(what, out)
+    asked = read_campaign(open_campaign(what).path / CAMPAIGN if what.is_dir() else what)
     if list_runs:
         show(asked)
         return
-    folder = campaign_folder.begin(path, asked, job)
-    extent = CampaignRuns(folder, asked.runs).extent
+    extent = begin(path, asked, job)
+    folder = JobFolder(path)
     team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
     with lifetime("qdgrasp campaign") as stop, display(path.name, asked.evaluations) as shown:
         shown.say(asked.words)
@@ -50,6 +51,15 @@ def campaign(
             carry_out(folder, team, shown, stop)
     check_not_stopped(folder, stop)
     finish(folder, asked)
+
+
+def _place(what: Path, out: Path | None) -> Path:
+    """The campaign's folder."""
+    if not what.is_dir():
+        return out or Path("runs") / what.stem
+    if out is not None:
+        raise InputError(f"{what} is a campaign's folder, and goes on where it is; leave --out out.")
+    return what
 
 
 def show(asked: Campaign) -> None:
