@@ -136,8 +136,12 @@ class Lanes:
 
     def figures(self, job: str, workers: int, now: float) -> JobFigures:
         """How far the job is."""
-        opening = [self._opener.lane] if self._opener.lane else []
+        opening = [self._opener.lane] if self._is_opening and self._opener.lane else []
         lanes = [*self._open.values(), *opening]
+        troubles = [
+            self._opener.trouble if self._is_opening else "",
+            *(lane.record.trouble for lane in lanes),
+        ]
         counted = self._counted + sum(lane.tally.evaluations for lane in lanes)
         replayed = self._replayed + sum(lane.replayed for lane in opening)
         seconds = now - self._began
@@ -155,5 +159,5 @@ class Lanes:
             workers=workers,
             seconds=seconds,
             rate=(counted - replayed) / seconds if seconds > 0 else 0.0,
-            trouble=next((lane.record.trouble for lane in lanes if lane.record.trouble), ""),
+            trouble=next(filter(None, troubles), ""),
         )

@@ -13,11 +13,11 @@ from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.lane import Lane
 from qdgrasp_coordinator.programme import Programme
 from qdgrasp_coordinator.record import Record
-from qdgrasp_protocol.errors import InputError, RunFailed
+from qdgrasp_protocol.errors import DiskFull, InputError, RunFailed
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import Opened
 
-ASK_INTERVAL = 0.1  # seconds between two questions to a recorder that does not answer
+TRY_INTERVAL = 0.1  # seconds between two tries: a recorder does not answer, or a disk is full
 FAREWELL = 2.0  # seconds that the thread may take to notice that it is not needed any more
 
 
@@ -69,10 +69,13 @@ class Opener:
         self._thread: threading.Thread | None = None
         self._is_closed = False
         self.lane: Lane | None = None
-        """The run that is being opened; None between runs."""
+        """The run that is being opened, or was opened last; None before it is made."""
+        self.trouble = ""
+        """Why no run can be opened now, in words; empty when one can."""
 
     def begin(self, epoch: int) -> None:
         """Start on the next run; `epoch` is the coordinator's turn, 0 before it has one."""
+        self.lane, self.trouble = None, ""
         self._thread = threading.Thread(target=self._run, args=(epoch,), name="opener", daemon=True)
         self._thread.start()
 
@@ -89,11 +92,10 @@ class Opener:
             return
         except Exception as error:  # noqa: BLE001  # whatever it is, it is raised again where the job is run
             news = Failed(error)
-        self.lane = None
         self._tell(news)
 
     def _next(self, epoch: int) -> News:
-        assignment = self._programme.next()
+        assignment = self._assignment()
         if assignment is None:
             return NoneLeft()
         self.lane = lane = Lane(assignment, self._make_record(assignment))
@@ -102,11 +104,23 @@ class Opener:
         except InputError as error:
             raise RunFailed(assignment.run, str(error)) from None
 
+    def _assignment(self) -> Assignment | None:
+        """The next run of the programme; a full disk is waited for."""
+        while True:
+            try:
+                assignment = self._programme.next()
+            except DiskFull as full:
+                self.trouble = str(full)
+                self._wait()
+            else:
+                self.trouble = ""
+                return assignment
+
     def _wait(self) -> None:
-        """Between two questions to a recorder that does not answer."""
+        """Between two tries."""
         if self._is_closed or self._stop.is_set:
             raise _Closed
-        time.sleep(ASK_INTERVAL)
+        time.sleep(TRY_INTERVAL)
 
 
 class _Closed(Exception):  # a way out, not an error

@@ -154,7 +154,7 @@ class CoordinatorService:
         try:
             self._platform = admit(self._platform, opened.platform or self._platform)
         except Refused as refusal:
-            self._lanes.fail(RunFailed(lane.run, f"The rows of run '{lane.run}' are of others: {refusal}"))
+            self._failed(RunFailed(lane.run, f"Its rows were made elsewhere: {refusal}"))
             return
         lane.record.set_platform(self._platform)
         self._lanes.begin(lane)
@@ -204,9 +204,12 @@ class CoordinatorService:
         """Let go of a run that is finished and recorded."""
         self._publish(f"run/{lane.run}", lane.figures(self._dispatch.workers, now))
         self._lanes.end(lane)
-        for wid, batches in self._dispatch.withdraw(lane.run).items():
-            self._drop(wid, batches)
         log.info("finished", run=lane.run, reason=lane.pipeline.finished)
+
+    def _withdraw(self, run: str) -> None:
+        """Have nobody work on what a finished run does not need any more."""
+        for wid, batches in self._dispatch.withdraw(run).items():
+            self._drop(wid, batches)
 
     # Events come in.
 
@@ -287,6 +290,8 @@ class CoordinatorService:
             self._drop(settled.superseded, [result.batch])
         if settled.kind is Settlement.FRESH and settled.rows is not None:
             lane.record.push(lane.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
+            if lane.pipeline.finished is not None:
+                self._withdraw(lane.run)
 
     def _take_recorded(self, report: Recorded, now: float) -> None:
         lane = self._lanes.get(report.run)

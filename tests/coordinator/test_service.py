@@ -2,7 +2,7 @@
 
 import hashlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from queue import SimpleQueue
 
@@ -19,11 +19,12 @@ from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus, Sample
-from qdgrasp_protocol.errors import InputError, Refused, RunFailed, RunsFailed
+from qdgrasp_protocol.errors import DiskFull, InputError, Refused, RunFailed, RunsFailed
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.local_bus import LocalNetwork
-from qdgrasp_protocol.messages import Join, Joined, Result, Work
+from qdgrasp_protocol.messages import Join, Joined, Opened, OpenRun, Result, Work
+from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 
 JOB = "many"
@@ -39,10 +40,14 @@ class Runs:
     def __init__(self, plans: dict[str, Plan | None]) -> None:
         self.extent = Extent(runs=len(plans), evaluations=sum(p.evaluations for p in plans.values() if p))
         self._left = list(plans.items())
+        self.has_room = threading.Event()
+        self.has_room.set()
 
     def next(self) -> Assignment | None:
         if not self._left:
             return None
+        if not self.has_room.is_set():
+            raise DiskFull("There is no room.")
         name, plan = self._left.pop(0)
         if plan is None:
             raise RunFailed(name, "Its mesh is no mesh.")
@@ -59,6 +64,7 @@ class Pretender:
         self._bus, self._keys, self._wid, self._answers = bus, Keys(JOB), wid, answers
         self._inbox: SimpleQueue[Sample | None] = SimpleQueue()
         self.runs: set[str] = set()
+        self.rows = 0
         self.kept = threading.Event()
 
     @contextmanager
@@ -89,6 +95,7 @@ class Pretender:
         while (sample := self._inbox.get()) is not None:
             work = codec.decode(sample.payload, Work)
             self.runs.add(work.run)
+            self.rows += work.n
             if self._answers:
                 key, result = self._keys.result(self._wid), self._result(work)
                 self._bus.put(key, codec.encode(result), encoding=codec.encoding(Result))
@@ -120,10 +127,35 @@ class Pretender:
         )
 
 
-class Job:
-    """A coordinator of many runs on a network, whose rows stay in memory."""
+class Elsewhere(Memory):
+    """The record of a run that was begun on another platform."""
 
-    def __init__(self, plans: dict[str, Plan | None]) -> None:
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        return Opened(epoch=1, durable=[0], platform={"pybullet": "2.0"})
+
+
+class Slow(Memory):
+    """A record whose rows take their time to be safe."""
+
+    is_safe = False
+
+    @property
+    def is_empty(self) -> bool:
+        return self.is_safe
+
+
+class Job:
+    """A coordinator of many runs on a network, whose rows stay in memory.
+
+    Parameters
+    ----------
+    kinds
+        The records of some runs, where they are not simply `Memory`.
+    """
+
+    def __init__(self, plans: dict[str, Plan | None], **kinds: type[Memory]) -> None:
+        self._kinds = kinds
+        self.programme = Runs(plans)
         self.network = LocalNetwork()
         self.stop = Stop()
         self.records: dict[str, Memory] = {}
@@ -132,13 +164,14 @@ class Job:
             self.network.session(),
             self.stop,
             job=JOB,
-            programme=Runs(plans),
+            programme=self.programme,
             make_record=self._record,
             batch_size=2,
         )
 
     def _record(self, assignment: Assignment) -> Memory:
-        return self.records.setdefault(assignment.run, Memory(SHAPE))
+        kind = self._kinds.get(assignment.run, Memory)
+        return self.records.setdefault(assignment.run, kind(SHAPE))
 
     def carry_out(self, workers: int = 2) -> None:
         with ExitStack() as stack:
@@ -202,3 +235,43 @@ def test_the_last_figures_of_the_job_count_all_runs() -> None:
     last = seen[-1]
     assert (last.runs_done, last.runs_open, last.runs) == (6, 0, 6)
     assert last.evaluations == last.budget == 240
+
+
+def test_a_full_disk_is_waited_for_and_no_run_fails_for_it() -> None:
+    job = Job(dict(PLANS))
+    job.programme.has_room.clear()
+
+    def make_room(now: float) -> None:
+        if job.service.figures(now).trouble == "There is no room.":
+            job.programme.has_room.set()
+
+    with Pretender(job.network.session(), "f" * 32).at_work():
+        job.service.run(make_room)
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
+
+
+def test_a_run_of_another_platform_fails_and_the_others_are_done() -> None:
+    job = Job(dict(PLANS), **{"run-5": Elsewhere})
+    with pytest.raises(RunsFailed, match=r"'run-5': Its rows were made elsewhere: .* pybullet 2\.0"):
+        job.carry_out()
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()} | {"run-5": b""}
+
+
+def test_nobody_works_on_what_a_finished_run_does_not_need() -> None:
+    plan = Plan(population=200, evaluations=20, overlaps="redraw")
+    job = Job({"slow": plan}, slow=Slow)
+    looks: list[float] = []
+
+    def look(now: float) -> None:
+        if job.service.figures(now).evaluations == plan.evaluations:
+            looks.append(now)
+        if len(looks) == 5:
+            record = job.records["slow"]
+            assert isinstance(record, Slow)
+            record.is_safe = True
+
+    with Pretender(job.network.session(), "f" * 32).at_work() as worker:
+        job.service.run(look)
+    rows = job.records["slow"].rows
+    again, held, crossing = 2 * np.count_nonzero(rows["outcome"] == Outcome.ERROR), 2 * 2, 1
+    assert worker.rows <= len(rows) + again + held + crossing
