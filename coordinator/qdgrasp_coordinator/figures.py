@@ -72,7 +72,8 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """One line for a person."""
-        runs = f"{self.runs_done} of {self.runs} runs, " if self.runs > 1 else ""
+        failed = f" and {self.runs_failed} failed" if self.runs_failed else ""
+        runs = f"{self.runs_done} of {self.runs} runs{failed}, " if self.runs > 1 else ""
         done = f"{runs}{self.evaluations} of {self.budget} evaluations"
         if self.trouble:
             return f"{done}, paused: {self.trouble}"

@@ -1,13 +1,13 @@
-"""The live progress of a job on standard error: a moving line on a terminal, now and then one elsewhere."""
+"""The live progress of a job on standard error: a moving bar on a terminal, now and then a line elsewhere."""
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from qdgrasp_coordinator.figures import JobFigures
@@ -25,31 +25,41 @@ class Display(Protocol):
         """Say something that happened, in one line."""
 
 
-class FiguresColumn(ProgressColumn):
-    """Evaluations, speed, successes and cells in words."""
+class Bar(Progress):
+    """A job's name, a bar and the time left; below them all figures, in as many lines as they need."""
 
-    def render(self, task: Task) -> Text:
-        """The column's text for a task that holds `figures`."""
-        figures: JobFigures | None = task.fields.get("figures")
-        return Text("starting" if figures is None else figures.words)
+    def __init__(self, console: Console) -> None:
+        name = TextColumn("{task.description}", markup=False)
+        left = TextColumn("{task.percentage:.0f} %  {task.fields[left]}", markup=False)
+        super().__init__(name, BarColumn(None), left, console=console, expand=True)
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """What stands on the terminal."""
+        yield from super().get_renderables()
+        for task in self.tasks:
+            yield Text(task.fields["words"])
 
 
-class LiveLine:
-    """One moving line on a terminal."""
+class LiveBar:
+    """A moving bar on a terminal."""
 
-    def __init__(self, progress: Progress, name: str, budget: int) -> None:
-        self._progress = progress
-        self._task = progress.add_task(name, total=budget, figures=None)
+    def __init__(self, bar: Bar, name: str, budget: int) -> None:
+        self._bar = bar
+        self._task = bar.add_task(name, total=budget, words="starting", left="")
 
     def show(self, figures: JobFigures) -> None:
-        """Move the line on."""
-        self._progress.update(
-            self._task, completed=figures.evaluations, total=figures.budget, figures=figures
+        """Move the bar on."""
+        self._bar.update(
+            self._task,
+            completed=figures.evaluations,
+            total=figures.budget,
+            words=figures.words,
+            left=figures.left,
         )
 
     def say(self, sentence: str) -> None:
-        """Print a line above the moving one."""
-        self._progress.console.print(sentence, highlight=False)
+        """Print a line above the bar."""
+        self._bar.console.print(sentence, highlight=False, markup=False)
 
 
 class PlainLines:
@@ -79,6 +89,5 @@ def display(name: str, budget: int) -> Iterator[Display]:
     if not console.is_terminal:
         yield PlainLines(name)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(24), FiguresColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
-        yield LiveLine(progress, name, budget)
+    with Bar(console) as bar:
+        yield LiveBar(bar, name, budget)
