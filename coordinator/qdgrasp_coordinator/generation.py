@@ -56,6 +56,7 @@ class Slot:
         self._rows["index"][:, 0] = np.arange(len(genomes))
         self._rows["genome"][:, 0] = genomes
         self._here = np.zeros((self._nominal, 1 + trials), dtype=bool)
+        self._is_success = np.zeros(self._nominal, dtype=bool)
         self._handed_out = False
         self._opened = 0
         """Nominal rows, from index 0 on, whose trials were handed out where they are successes."""
@@ -65,7 +66,7 @@ class Slot:
         """Its nominal rows by index as the search hears them: fitness is the sum over a success's trials."""
         rows = self._rows[:, 0].copy()
         if self._trials:
-            found = self._successes(0, len(rows))
+            found = self._found
             rows["fitness"][found] = self._rows["fitness"][found, 1:].sum(axis=1)
         return rows
 
@@ -90,7 +91,7 @@ class Slot:
             if len(indices):
                 return self._to_evaluate(indices, np.zeros_like(indices))
         gapless = _gapless(self._here[self._opened : self._nominal, 0])
-        found = self._successes(self._opened, self._opened + gapless)
+        found = self._opened + np.flatnonzero(self._is_success[self._opened :][:gapless])
         self._opened += gapless
         places, trials = np.nonzero(~self._here[found, 1:])
         return self._to_evaluate(found[places], trials + 1) if len(places) else None
@@ -135,18 +136,14 @@ class Slot:
     @property
     def _found(self) -> Places:
         """The successes among the nominal rows that the journal is to hold, by index."""
-        return self._successes(0, self._nominal)
-
-    def _successes(self, first: int, stop: int) -> Places:
-        outcomes = self._rows["outcome"][first:stop, 0]
-        return first + np.flatnonzero(outcomes >= Outcome.DROPPED)
+        return np.flatnonzero(self._is_success[: self._nominal])
 
     def _is_asked(self, rows: Rows) -> NDArray[np.bool_]:
         """Which rows are of this slot: nominal ones, and trials of successes once they were handed out."""
         is_known = (rows["index"] < len(self._here)) & (rows["trial"] <= self._trials)
         indices = np.where(is_known, rows["index"], 0)
-        is_success = self._rows["outcome"][indices, 0] >= Outcome.DROPPED
-        asked: NDArray[np.bool_] = is_known & ((rows["trial"] == 0) | ((indices < self._opened) & is_success))
+        is_open = (indices < self._opened) & self._is_success[indices]
+        asked: NDArray[np.bool_] = is_known & ((rows["trial"] == 0) | is_open)
         return asked
 
     def _to_evaluate(self, indices: Places, trials: Places) -> Generation:
@@ -156,14 +153,16 @@ class Slot:
     def _put(self, rows: Rows, indices: Places, trials: Places) -> None:
         self._rows[indices, trials] = rows
         self._here[indices, trials] = True
+        is_success = (trials == 0) & (rows["outcome"] >= Outcome.DROPPED)
+        self._is_success[indices[is_success]] = True
 
     def _next(self, most: int) -> tuple[Places, Places]:
         """Indices and trials of the rows behind the final ones, in journal order: nominal, or else trials."""
         if self.missing:
-            indices = np.arange(self.final, self._nominal)[:most]
+            indices = np.arange(self.final, min(self.final + most, self._nominal))
             return indices, np.zeros_like(indices)
-        found = self._found
-        places = np.arange(self.final - self._nominal, self._trials * len(found))[:most]
+        found, first = self._found, self.final - self._nominal
+        places = np.arange(first, min(first + most, self._trials * len(found)))
         return found[places // max(1, self._trials)], 1 + places % max(1, self._trials)
 
     def _mismatch(self, asked: Rows, recorded: Rows, column: str) -> str:
