@@ -127,6 +127,20 @@ def test_the_table_of_successes_says_what_the_rows_say(tmp_path: Path) -> None:
     assert_array_equal(found, cells(rows["descriptor"][at]))
 
 
+def test_trials_are_rows_and_no_successes_of_their_own(tmp_path: Path) -> None:
+    rows = make_rows(60)
+    rows["outcome"] = Outcome.HELD
+    rows["trial"] = np.arange(60) % 3
+    record(tmp_path, rows, [25, 35])
+    with Journal.open(tmp_path) as journal:
+        assert journal.successes().tobytes() == rows[::3].tobytes()
+        assert journal.count == 60
+    with sqlite3.connect(tmp_path / FILE) as database:
+        assert database.execute("SELECT row FROM successes ORDER BY row").fetchall() == [
+            (row,) for row in range(0, 60, 3)
+        ]
+
+
 def test_reasons_of_errors_stay_with_their_rows(tmp_path: Path) -> None:
     rows = make_rows(30)
     with JournalWriter.create(tmp_path, IDENTITY) as journal:
