@@ -125,7 +125,7 @@ def _places(scenes: Sequence[SceneName]) -> list[tuple[int, int]]:
     """Row and column of each scene's panel: its hand's and its object's, unless that leaves many holes."""
     hands = list(dict.fromkeys((scene.gripper, scene.protocol) for scene in scenes))
     objects = sorted({scene.object for scene in scenes})
-    if len(hands) == 1 or len(scenes) < FILLED * len(hands) * len(objects):
+    if len(hands) == 1 or len(objects) == 1 or len(scenes) < FILLED * len(hands) * len(objects):
         return [divmod(number, WRAPPED) for number in range(len(scenes))]
     return [(hands.index((scene.gripper, scene.protocol)), objects.index(scene.object)) for scene in scenes]
 

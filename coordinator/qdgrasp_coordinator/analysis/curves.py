@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.analysis.entries import Entry
-from qdgrasp_coordinator.analysis.history import History, Steps
+from qdgrasp_coordinator.analysis.history import History
 
 POINTS = 200
 QUARTILES = (0.25, 0.5, 0.75)
@@ -23,16 +23,8 @@ class Measure:
     of: Callable[[History, ArrayLike], NDArray[np.float64]]
 
 
-def _share(found: Steps | None, size: int, evaluations: ArrayLike) -> NDArray[np.float64]:
-    if found is None or not size:
-        return np.full(np.shape(evaluations), np.nan)
-    return found.after(evaluations) / size
-
-
-COVERAGE = Measure("coverage", "coverage of S_G", lambda run, at: _share(run.found, run.target.size, at))
-PUBLISHED = Measure(
-    "published", "coverage of S_G as published", lambda run, at: _share(run.published, run.target.size, at)
-)
+COVERAGE = Measure("coverage", "coverage of S_G", lambda run, at: run.coverage(at))
+PUBLISHED = Measure("published", "coverage of S_G as published", lambda run, at: run.published_coverage(at))
 CELLS = Measure("cells", "success cells of 1 cm", lambda run, at: run.cells.after(at).astype(np.float64))
 
 

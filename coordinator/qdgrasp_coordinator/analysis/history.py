@@ -139,6 +139,19 @@ class History:
     """Mean over the successes whose trials are recorded; None where the protocol has none."""
     cpu_seconds: float
 
+    def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """The share of the reference set found after so many evaluations; NaN without one."""
+        return self._share(self.found, evaluations)
+
+    def published_coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """The same as the released code counts; NaN without a set, and for a hand that it does not have."""
+        return self._share(self.published, evaluations)
+
+    def _share(self, found: Steps | None, evaluations: ArrayLike) -> NDArray[np.float64]:
+        if found is None or not self.target.size:
+            return np.full(np.shape(evaluations), np.nan)
+        return found.after(evaluations) / self.target.size
+
     @property
     def near_share(self) -> float | None:
         """The share of successes with nu below pi / 4; None without a success that has a nu."""

@@ -15,7 +15,9 @@ CAPTIONS = {
     "coverage": "Every method over its evaluations: median over seeds and interquartile range. Coverage is "
     "de-duplicated (distinct entries of S_G found, over its size); where a scene has no S_G, success cells "
     "of 1 cm are counted instead and the panel says so. `coverage.csv` has the count as published beside it.",
-    "priors": "The same, prior by prior; grey: the other priors.",
+    "hands": "The same for each hand: for each seed the mean of its coverage over those objects that have an "
+    "S_G and that all methods were run on; median and interquartile range over seeds.",
+    "priors": "Both prior by prior; grey: the other priors.",
     "nu": "How successes lean from the surface normal: mean over scenes of the mean over runs. Dashed: pi/4. "
     "Antipodal hands stand beside the line between their two points, with nu near pi/2 by construction: "
     "they are in `nu.csv` alone.",

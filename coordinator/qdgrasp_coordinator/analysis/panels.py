@@ -7,6 +7,7 @@ import numpy as np
 
 from qdgrasp_coordinator.analysis.curves import COVERAGE, Curve, Measure, curve, measure_of
 from qdgrasp_coordinator.analysis.entries import Entry, SceneName
+from qdgrasp_coordinator.analysis.pooled import Pooled
 
 LETTERS = 17
 """Of a panel's heading, in an inch."""
@@ -47,7 +48,8 @@ def measure_words(panel: Panel) -> str:
     """What is measured on a scene, and how far it can be compared."""
     target = panel.curves[0].entry.target
     if panel.measure is COVERAGE:
-        return f"{panel.measure.words}{', on a stand-in for the scan' if target.stand_in else ''}"
+        pool = ", mean over objects" if isinstance(panel.curves[0].entry.runs[0], Pooled) else ""
+        return f"{panel.measure.words}{pool}{', on a stand-in for the scan' if target.stand_in else ''}"
     return f"{panel.measure.words}: {target.why or 'not all runs have an S_G'}"
 
 

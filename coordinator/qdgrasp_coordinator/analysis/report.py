@@ -1,7 +1,8 @@
-"""Reports: the four figures and the tables of a campaign, written into a folder.
+"""Reports: the figures and the tables of a campaign, written into a folder.
 
 * `coverage`  (.png, .svg, .csv): every method over its evaluations
-* `priors`    the same, prior by prior
+* `hands`     the same for each hand, as the mean over its objects
+* `priors`    both prior by prior
 * `nu`        how successes lean from the surface normal
 * `voxels`    where one method had successes, and how robust they are
 * `runs.csv`, `methods.csv`, `claims.csv`, and `tables.md` with all of it in words
@@ -19,6 +20,7 @@ from qdgrasp_coordinator.analysis.nu_figure import draw_nu, leans
 from qdgrasp_coordinator.analysis.page import page
 from qdgrasp_coordinator.analysis.palette import family_of
 from qdgrasp_coordinator.analysis.panels import Panel, panels
+from qdgrasp_coordinator.analysis.pooled import pooled
 from qdgrasp_coordinator.analysis.sheet import Sheet
 from qdgrasp_coordinator.analysis.tables import (
     Row,
@@ -108,15 +110,20 @@ def report(
 
 
 def _draw(begun: Sequence[Entry], out: Path, method: str | None, log: bool) -> dict[str, str]:
-    """Draw the four figures, or say why there is none."""
-    shown = panels(begun)
+    """Draw each figure, or say why there is none."""
+    shown, by_hand = panels(begun), panels(pooled(begun))
     curves = [one for panel in shown for one in panel.curves]
-    matrix = _with_search(shown)
+    matrix = _with_search([*by_hand, *shown])
     leaning = leans(begun)
     drawn = method or drawn_method(begun)
     seen = voxels(begun, drawn) if drawn else []
     return {
         "coverage": _put(out / "coverage", draw_curves(shown, log=log), curve_rows(curves)),
+        "hands": _put(
+            out / "hands",
+            draw_curves(by_hand, log=log) if by_hand else "no hand has two objects with an S_G",
+            curve_rows([one for panel in by_hand for one in panel.curves]),
+        ),
         "priors": _put(
             out / "priors",
             draw_matrix(matrix, log=log) if matrix else "no run is of a search with quality and diversity",

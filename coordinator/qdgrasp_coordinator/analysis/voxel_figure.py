@@ -112,7 +112,7 @@ def _hues(one: Voxels) -> Floats:
 
 
 def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
-    hues: Floats = matplotlib.colormaps["cividis_r"](eta)[:, :3].astype(np.float32)
+    hues: Floats = matplotlib.colormaps["viridis_r"](eta)[:, :3].astype(np.float32)
     return hues
 
 

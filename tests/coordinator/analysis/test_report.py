@@ -52,7 +52,7 @@ def analysed(campaign: Path, **settings: object) -> Report:
 
 def test_four_figures_with_their_data_and_the_tables_are_written(campaign: Path) -> None:
     found = analysed(campaign)
-    assert (found.runs, found.unfinished, found.left_out) == (6, 2, {})
+    assert (found.runs, found.unfinished, set(found.left_out)) == (6, 2, {"hands"})
     for name in ("coverage", "priors", "nu", "voxels"):
         picture = matplotlib.image.imread(found.out / f"{name}.png")
         assert (picture[..., :3].min(axis=-1) < 0.9).mean() > 0.005
@@ -120,7 +120,7 @@ def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
     (tmp_path / "analysis").mkdir()
     (tmp_path / "analysis/nu.png").touch()
     found = analysed(tmp_path)
-    assert set(found.left_out) == {"priors", "nu", "voxels"}
+    assert set(found.left_out) == {"hands", "priors", "nu", "voxels"}
     assert sorted(file.name for file in found.out.glob("*.png")) == ["coverage.png"]
     assert "Not drawn: nothing was found." in (found.out / "tables.md").read_text()
 
@@ -150,5 +150,9 @@ def test_the_command_prints_the_verdicts(campaign: Path) -> None:
     assert "6 runs, 2 of them unfinished." in said
     done = CliRunner().invoke(app, ["analyse", str(campaign), "--json", "--method", "contact_rand"])
     values = json.loads(done.stdout)
-    assert (values["runs"], values["claims"]["c"], values["left_out"]) == (6, "not in this campaign", {})
+    assert (values["runs"], values["claims"]["c"], set(values["left_out"])) == (
+        6,
+        "not in this campaign",
+        {"hands"},
+    )
     assert {row["method"] for row in table(campaign / "analysis/voxels.csv")} == {"contact_rand"}
