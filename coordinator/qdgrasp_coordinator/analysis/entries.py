@@ -9,12 +9,12 @@ import msgspec
 
 from qdgrasp_coordinator.analysis.history import History, history
 from qdgrasp_coordinator.analysis.target import Target, Targets
-from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.folder import SPEC, RunFolder
+from qdgrasp_coordinator.job_folder import RUNS
 from qdgrasp_coordinator.search import METHODS
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.spec import RunSpec
 
-RUNS = "runs"
 HANDS = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shadow")
 """The paper's order of the hands; others follow."""
 ARM = {"gripper", "object", "protocol", "method", "seed", "evaluations"}
@@ -79,6 +79,8 @@ class Entry:
 def run_folders(path: Path) -> list[RunFolder]:
     """The folders of a campaign's runs, or of the runs that lie side by side in a folder; by name.
 
+    What a run found is read from its spec, scene and journal; the files of its job are not needed.
+
     Raises
     ------
     FolderError
@@ -86,10 +88,10 @@ def run_folders(path: Path) -> list[RunFolder]:
     """
     if not path.is_dir():
         raise FolderError(f"There is no folder {path}; name a campaign's folder, or one with run folders.")
-    if RunFolder.is_run(path):
-        return [RunFolder.open(path)]
+    if (path / SPEC).is_file():
+        return [RunFolder(path)]
     home = path / RUNS if (path / RUNS).is_dir() else path
-    found = [RunFolder.open(place) for place in sorted(home.iterdir()) if RunFolder.is_run(place)]
+    found = [RunFolder(place) for place in sorted(home.iterdir()) if (place / SPEC).is_file()]
     if not found:
         raise FolderError(
             f"{path} holds no runs: expected run folders in {path / RUNS} or in {path} itself; "

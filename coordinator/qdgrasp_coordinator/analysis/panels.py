@@ -59,8 +59,12 @@ def run_words(entries: Sequence[Entry], room: float) -> str:
     for entry in entries:
         kinds.setdefault(_runs([entry]), []).append(entry.name)
     usual, *others = sorted(kinds, key=lambda kind: -len(kinds[kind]))
-    words = "; ".join([usual, *(f"{', '.join(kinds[kind])}: {kind}" for kind in others)])
+    words = "; ".join([usual, *(f"{', '.join(kinds[kind])}: {_short(kind)}" for kind in others)])
     return words if len(words) <= LETTERS * room else _runs(entries)
+
+
+def _short(kind: str) -> str:
+    return kind.replace(" seeds", "").replace(" seed", "").replace(" evaluations", "")
 
 
 def _runs(entries: Sequence[Entry]) -> str:

@@ -76,7 +76,7 @@ def median_run(entry: Entry) -> History:
 
 
 def _voxels(name: SceneName, run: History) -> Voxels:
-    folder, per_success = RunFolder.open(run.path), trials(run.spec.protocol)
+    folder, per_success = RunFolder(run.path), trials(run.spec.protocol)
     with folder.journal() as journal:
         found = np.concatenate([journal.shape.empty(0), *scored(journal.blocks(), per_success)])
     best = best_in_cells(found)

@@ -71,6 +71,15 @@ def test_runs_are_found_in_a_campaign_and_side_by_side(
     assert [folder.path.name for folder in run_folders(tmp_path / home / "a")] == ["a"]
 
 
+def test_a_run_without_the_files_of_its_job_is_one_all_the_same(
+    tmp_path: Path, make_scene: SceneMaker
+) -> None:
+    folder = record(tmp_path / "a", make_scene(), random_rows(20))
+    (folder.path / "job.json").unlink()
+    (found,) = histories(run_folders(tmp_path), Targets())
+    assert found.evaluations == 20
+
+
 def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds no runs: expected run folders in"):
         run_folders(tmp_path)
