@@ -20,6 +20,8 @@ HANDS = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shad
 ARM = {"gripper", "object", "protocol", "method", "seed", "evaluations"}
 """What of a spec says which entry a run belongs to, or may differ between its runs."""
 UNITS = {"mass": " kg"}
+DEFAULTS = {field.name: field.default for field in msgspec.structs.fields(RunSpec) if field.name not in ARM}
+"""What a spec has where nothing else is asked for."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,19 @@ def entries(runs: Iterable[History]) -> list[Entry]:
         arms.setdefault((scene_name(run.spec), run.spec.method), []).append(run)
     ordered = sorted(arms, key=lambda arm: (*_place(arm[0]), list(METHODS).index(arm[1])))
     return [entry for scene, method in ordered for entry in _variants(scene, method, arms[scene, method])]
+
+
+def usual(entries: Iterable[Entry]) -> dict[SceneName, dict[str, Entry]]:
+    """On each scene, for each method the variant that departs from the defaults in the fewest settings."""
+    scenes: dict[SceneName, dict[str, Entry]] = {}
+    for entry in sorted(entries, key=_departures):
+        scenes.setdefault(entry.scene, {}).setdefault(entry.method, entry)
+    return scenes
+
+
+def _departures(entry: Entry) -> int:
+    setting = _settings(entry.runs[0].spec)
+    return sum(setting[name] != default for name, default in DEFAULTS.items())
 
 
 def scene_name(spec: RunSpec) -> SceneName:

@@ -8,7 +8,7 @@ import numpy as np
 from qdgrasp_coordinator.analysis import bootstrap
 from qdgrasp_coordinator.analysis.bootstrap import Interval, Values
 from qdgrasp_coordinator.analysis.curves import measure_of, value_after
-from qdgrasp_coordinator.analysis.entries import Entry, SceneName
+from qdgrasp_coordinator.analysis.entries import Entry, SceneName, usual
 from qdgrasp_coordinator.analysis.history import History
 
 FEW = 5
@@ -36,12 +36,8 @@ class Finding:
 
 
 def by_scene(entries: Sequence[Entry]) -> Scenes:
-    """The entries that findings are made of: those with any row; of several variants, the first."""
-    scenes: Scenes = {}
-    for entry in entries:
-        if entry.settled:
-            scenes.setdefault(entry.scene, {}).setdefault(entry.method, entry)
-    return scenes
+    """The entries that findings are made of: those with any row; of several variants, the most usual one."""
+    return usual(entry for entry in entries if entry.settled)
 
 
 def reached(scenes: Scenes, *methods: str) -> Finding | None:

@@ -9,6 +9,8 @@ from qdgrasp_coordinator.analysis.entries import Entry, SceneName
 from qdgrasp_coordinator.analysis.findings import FEW, Finding
 from qdgrasp_coordinator.analysis.tables import Row, method_rows
 
+NAMED = 10
+"""Unfinished runs that are named."""
 MARK = " \\*"
 """Of what few runs are behind."""
 CAPTIONS = {
@@ -61,14 +63,12 @@ def page(name: str, entries: Sequence[Entry], claims: Sequence[Judged], figures:
 
 def _overview(entries: Sequence[Entry]) -> str:
     runs = [run for entry in entries for run in entry.runs]
-    scenes = {entry.scene for entry in entries}
-    open_ = [
-        f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})"
-        for run in runs
-        if not run.complete
-    ]
-    words = f"{len(runs)} runs on {len(scenes)} scenes, {sum(run.evaluations for run in runs):,} evaluations."
-    return f"{words}{f' Unfinished: {chr(44).join(open_)}.' if open_ else ''}\n".replace(",`", ", `")
+    going = [run for run in runs if not run.complete]
+    said = [f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})" for run in going[:NAMED]]
+    more = f" and {len(going) - NAMED} more, see `runs.csv`" if len(going) > NAMED else ""
+    scenes, evaluations = {entry.scene for entry in entries}, sum(run.evaluations for run in runs)
+    unfinished = f" {len(going)} unfinished: {', '.join(said)}{more}." if going else ""
+    return f"{len(runs)} runs on {len(scenes)} scenes, {evaluations:,} evaluations.{unfinished}\n"
 
 
 def _claims(claims: Sequence[Judged]) -> str:

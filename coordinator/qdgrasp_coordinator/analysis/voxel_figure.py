@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.analysis.entries import Entry, SceneName
+from qdgrasp_coordinator.analysis.entries import Entry, SceneName, usual
 from qdgrasp_coordinator.analysis.history import History
 from qdgrasp_coordinator.analysis.picture import SURVIVED, scale_bar, triad
 from qdgrasp_coordinator.analysis.rays import Floats
@@ -63,9 +63,9 @@ def drawn_method(entries: Sequence[Entry]) -> str | None:
 
 def voxels(entries: Sequence[Entry], method: str) -> list[Voxels]:
     """On each scene the cells of the method's run with the median number of them; needs the run's scene."""
-    chosen = {entry.scene: entry for entry in reversed(entries) if entry.method == method}
-    ordered = [entry for entry in entries if chosen.get(entry.scene) is entry and entry.settled]
-    runs = [(entry.scene, median_run(entry)) for entry in ordered]
+    chosen = usual(entry for entry in entries if entry.method == method and entry.settled)
+    scenes = [scene for scene in dict.fromkeys(entry.scene for entry in entries) if scene in chosen]
+    runs = [(scene, median_run(chosen[scene][method])) for scene in scenes]
     return [_voxels(scene, run) for scene, run in runs if RunFolder(run.path).has_bundle()]
 
 

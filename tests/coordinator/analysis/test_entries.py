@@ -4,7 +4,7 @@ import pytest
 from tests.coordinator.analysis.conftest import SceneMaker
 from tests.coordinator.analysis.runs import climb, made, random_rows, record
 
-from qdgrasp_coordinator.analysis.entries import entries, histories, run_folders
+from qdgrasp_coordinator.analysis.entries import entries, histories, run_folders, usual
 from qdgrasp_coordinator.analysis.target import Targets
 from qdgrasp_protocol.errors import FolderError
 
@@ -43,6 +43,12 @@ def test_settings_that_differ_within_a_method_tell_its_variants_apart() -> None:
     assert [(entry.name, len(entry.runs)) for entry in found] == [
         ("me_scs mutation sigma 0.05", 2), ("me_scs mutation sigma 0.3", 2), ("cma_mae", 1),
     ]  # fmt: skip
+
+
+def test_the_usual_variant_of_a_method_is_the_one_nearest_to_the_defaults() -> None:
+    runs = [made("me_scs", climb(1), mutation_sigma=sigma, population=60) for sigma in (0.02, 0.1, 0.4)]
+    (by_method,) = usual(entries(runs)).values()
+    assert by_method["me_scs"].runs[0].spec.mutation_sigma == 0.1
 
 
 def test_protocols_are_scenes_of_their_own() -> None:
