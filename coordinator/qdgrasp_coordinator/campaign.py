@@ -103,7 +103,7 @@ def campaign(source: dict[str, Any], where: str) -> Campaign:
     defaults = assets.taken(source.get("defaults", {}))
     crosses = [assets.taken(cross) for cross in source["cross"]]
     runs: dict[str, RunSpec] = {}
-    for values in _crossed(defaults, crosses):
+    for values in _crossed(defaults, crosses, where):
         _add(runs, values, where)
     _check_assets(runs.values())
     resolved = {"defaults": defaults, "cross": crosses}
@@ -186,10 +186,12 @@ def _check(source: dict[str, Any], where: str) -> None:
         raise ImpossibleValue(f"{where}: prefer_scans", source["prefer_scans"], "true or false")
 
 
-def _crossed(defaults: dict[str, Any], crosses: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def _crossed(defaults: dict[str, Any], crosses: list[dict[str, Any]], where: str) -> Iterator[dict[str, Any]]:
     """The values of each run; of those named first in `NAMED` all runs come together."""
     for cross in crosses:
         whole = defaults | cross
+        if empty := [key for key, value in whole.items() if value == []]:
+            raise ImpossibleValue(f"{where}: {empty[0]}", [], "one value, or a list of at least one")
         order = sorted(whole, key=lambda key: NAMED.index(key) if key in NAMED else len(NAMED))
         axes = [whole[key] if isinstance(whole[key], list) else [whole[key]] for key in order]
         for values in itertools.product(*axes):

@@ -10,6 +10,7 @@ from qdgrasp_coordinator.preparation import full_spec
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded, UnknownKey, UnknownName
 from qdgrasp_protocol.keys import NAME
 
+SHIPPED = sorted((Path(__file__).parents[2] / "deploy" / "campaigns").glob("*.toml"))
 CROSS = {"gripper": "panda", "object": ["mug", "bowl"], "method": ["contact_rand", "me_scs"], "seed": [0, 1]}
 
 
@@ -106,6 +107,7 @@ class TestRefusals:
             ({"cross": [CROSS], "defualts": {}}, UnknownKey, "defualts"),
             ({"cross": [CROSS], "defaults": 3}, ImpossibleValue, "defaults must be a table"),
             ({"cross": [CROSS], "prefer_scans": "yes"}, ImpossibleValue, "true or false"),
+            ({"cross": [CROSS, CROSS | {"object": []}]}, ImpossibleValue, "object must be one value, or"),
             ({"cross": [CROSS | {"sede": 3}]}, UnknownKey, "sede"),
             ({"cross": [CROSS | {"method": "best"}]}, UnknownName, "best"),
             ({"cross": [CROSS | {"seed": [-1]}]}, ImpossibleValue, "at least 0"),
@@ -128,3 +130,12 @@ class TestRefusals:
         one.write_text('gripper = "panda"\nobject = "mug"\n')
         other.write_text('[[cross]]\ngripper = "panda"\nobject = "mug"\n')
         assert (is_campaign(one), is_campaign(other)) == (False, True)
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
+def test_every_campaign_that_we_ship_can_be_carried_out_on_stand_ins(file, monkeypatch) -> None:
+    monkeypatch.setattr(ycb, "source", lambda name: "absent")
+    found = read_campaign(file)
+    assert found.runs
+    assert not found.scans
+    assert all(NAME.fullmatch(name) for name in found.runs)
