@@ -56,7 +56,7 @@ class RunFolder:
     def add(cls, job: JobFolder, run: str, spec: RunSpec, bundle: Bundle | None) -> "RunFolder":
         """Begin the folder of one of a campaign's runs; raises as `create`."""
         path = job.run_path(run)
-        cls.check_free(path)
+        disk.check_free(path)
         disk.create(path, _files(spec, bundle))
         return cls(path)
 
@@ -84,13 +84,19 @@ class RunFolder:
 
     @staticmethod
     def check_free(path: Path) -> None:
-        """Check that a run can be begun at `path`: nothing is there, or an empty folder.
+        """Check that a run of its own can be begun at `path`: nothing is there, or an empty folder.
 
         Raises
         ------
         FolderError
-            Something is there.
+            Something is there, or it is among the runs of a campaign.
         """
+        owner = _job_path(path)
+        if owner != path and JobFolder.is_job(owner):
+            raise FolderError(
+                f"{path} is for a run of a campaign: `qdgrasp campaign {owner}` goes on with its runs; "
+                "for a new run name another folder with --out."
+            )
         if RunFolder.is_run(path):
             raise FolderError(
                 f"{path} holds a run already: `qdgrasp resume {path}` goes on with it; "
