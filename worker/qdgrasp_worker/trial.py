@@ -1,4 +1,4 @@
-"""Trials: a grasp that meets a disturbed object (mixture domain randomisation, Huber et al. 2024, section V).
+"""Trials: a grasp that meets a disturbed object (mixture domain randomisation, Huber et al. 2024, appendix).
 
 What a trial draws depends on the mixture, the grasp and the trial's number alone: a stored grasp that is
 scored again meets the same trials, and no other grasp does. It is rounded for the reason that poses are
