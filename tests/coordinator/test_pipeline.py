@@ -417,6 +417,16 @@ def test_a_journal_with_other_trials_is_refused(column: str, value: float) -> No
         fertile()[1].replay(recorded)
 
 
+def test_of_recorded_trials_only_the_missing_ones_are_asked_again() -> None:
+    _, pipeline = fertile()
+    nominal = asked(pipeline)
+    pipeline.settle(nominal)
+    recorded = np.concatenate([nominal, asked(pipeline)[:4]])
+    _, resumed = fertile()
+    resumed.replay(recorded)
+    assert keys_of(asked(resumed)) == [(2, 2), (2, 3)]
+
+
 def test_a_generation_with_fifty_thousand_trials_is_told_when_the_last_is_here() -> None:
     """Five hundred successes with a hundred trials each, in batches of twenty-five."""
     search, pipeline = fertile(population=1000, evaluations=10_000, trials=100)
