@@ -45,10 +45,10 @@ class Commands:
         return Done(process.returncode, out, err)
 
     def start(
-        self, *arguments: object, file_size: int | None = None, **environment: str
+        self, *arguments: object, module: str = "qdgrasp", file_size: int | None = None, **environment: str
     ) -> subprocess.Popen[str]:
         """Start a command; no file that it or its processes write may be longer than `file_size`."""
-        command = [sys.executable, "-m", "qdgrasp", *map(str, arguments)]
+        command = [sys.executable, "-m", module, *map(str, arguments)]
         process = subprocess.Popen(
             command,
             cwd=self.home,

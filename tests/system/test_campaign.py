@@ -1,0 +1,289 @@
+"""Many runs from one file: each is the run it would be alone, whatever dies on the way."""
+
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+import trimesh
+from tests.system.commands import Commands, is_alive, kill, processes_of, rows_recorded, wait_for
+from tests.system.test_bad_input import sentence
+
+from qdgrasp_coordinator.campaign import read_campaign
+from qdgrasp_coordinator.digest import digest
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.job_folder import JobFolder
+
+EVERY = Path(__file__).parents[2] / "deploy" / "campaigns" / "every.toml"
+SMALL = """
+[defaults]
+gripper = "panda"
+evaluations = 160
+population = 40
+[[cross]]
+object = "tennis_ball"
+method = ["contact_rand", "contact_me_scs"]
+[[cross]]
+object = "rubiks_cube"
+method = "approach_me_scs"
+"""
+RUNS = (
+    ("tennis_ball", "contact_rand"),
+    ("rubiks_cube", "approach_me_scs"),
+)
+
+
+def write(home: Path, text: str = SMALL) -> Path:
+    path = home / "many.toml"
+    path.write_text(text)
+    return path
+
+
+def digests(qdgrasp: Commands, folder: str = "out") -> dict[str, str]:
+    """The digests of all runs of a campaign by name."""
+    return {name: digest_of(path) for name, path in runs(qdgrasp, folder)}
+
+
+def cpu_seconds(qdgrasp: Commands, folder: str = "out") -> dict[str, float]:
+    """What the runs cost: more where any row was evaluated again."""
+    return {name: cost(path) for name, path in runs(qdgrasp, folder)}
+
+
+def runs(qdgrasp: Commands, folder: str) -> list[tuple[str, Path]]:
+    return [(path.name, path) for path in JobFolder.open(qdgrasp.home / folder).run_paths]
+
+
+def digest_of(path: Path) -> str:
+    with RunFolder.open(path).journal() as journal:
+        return digest(journal)
+
+
+def cost(path: Path) -> float:
+    with RunFolder.open(path).journal() as journal:
+        return journal.cpu_seconds
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
+    """An undisturbed campaign in `out`, which tests leave as it is."""
+    commands = Commands(tmp_path_factory.mktemp("campaign"))
+    ended = commands("campaign", write(commands.home), "--workers", 2, "--out", "out")
+    assert ended.code == 0, ended.err
+    assert "3 of 3 runs with 480 evaluations" in ended.out
+    return commands
+
+
+@pytest.mark.parametrize(("object_", "method"), RUNS)
+def test_each_run_of_a_campaign_is_the_run_that_it_is_alone(qdgrasp, done, object_, method):
+    flags = ("--object", object_, "--method", method, "--evaluations", 160, "--population", 40)
+    ended = qdgrasp("run", "--gripper", "panda", *flags, "--workers", 1, "--out", "alone")
+    assert ended.code == 0, ended.err
+    name = f"panda-{object_}-{method}-s0-population40"
+    assert digest_of(qdgrasp.home / "alone") == digests(done)[name]
+
+
+def test_a_finished_campaign_is_not_carried_out_again(done):
+    before = digests(done)
+    ended = done("campaign", "out")
+    assert ended.code == 0
+    assert "3 of 3 runs are finished already" in ended.err
+    assert "listening" not in ended.err
+    assert digests(done) == before
+
+
+def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgrasp):
+    shutil.copytree(done.home / "out", qdgrasp.home / "out")
+    longer = SMALL.replace('"approach_me_scs"', '"approach_me_scs"\nevaluations = 240')
+    grown = longer.replace(
+        '"contact_rand", "contact_me_scs"]', '"contact_rand", "contact_me_scs"]\nseed = [0, 1]'
+    )
+    ended = qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
+    assert ended.code == 0, ended.err
+    assert "2 of 5 runs are finished already" in ended.err
+    assert "5 of 5 runs with 880 evaluations" in ended.out
+    extended = "panda-rubiks_cube-approach_me_scs-s0-population40"
+    finished = digests(done).keys() - {extended}
+    for found in (digests, cpu_seconds):
+        before, after = found(done), found(qdgrasp)
+        assert {name: after[name] for name in finished} == {name: before[name] for name in finished}
+    assert rows_recorded(qdgrasp.home / "out" / "runs" / extended) == 240
+
+
+# What is asked for cannot be.
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gripper = ", ["many.toml"]),
+        ('gripper = "panda"\nobject = "mug"\n', ["'gripper'", "cross"]),
+        ('[[cross]]\ngripper = "panda"\nobject = ["mug", "mugg"]\n', ["mugg", "mug"]),
+        ('[[cross]]\ngripper = "shadow"\nobject = "mug"\nmethod = "antipodal_rand"\n', ["two-finger"]),
+    ],
+)
+def test_a_file_that_asks_for_what_cannot_be_is_refused(qdgrasp, text, words):
+    said = sentence(qdgrasp("campaign", write(qdgrasp.home, text), "--out", "out"))
+    assert all(word in said for word in words)
+    assert [path.name for path in qdgrasp.home.iterdir()] == ["many.toml"]
+
+
+def test_what_is_no_campaign_is_refused(qdgrasp, reference):
+    assert "nowhere.toml" in sentence(qdgrasp("campaign", "nowhere.toml"))
+    assert "single run" in sentence(qdgrasp("campaign", reference[0]))
+    file = write(qdgrasp.home)
+    assert "single run" in sentence(qdgrasp("campaign", file, "--out", reference[0]))
+    (qdgrasp.home / "thesis").mkdir()
+    (qdgrasp.home / "thesis" / "thesis.tex").write_text("years of work")
+    assert "other files" in sentence(qdgrasp("campaign", file, "--out", "thesis"))
+    assert "no campaign" in sentence(qdgrasp("campaign", "thesis"))
+
+
+def test_a_folder_of_a_campaign_is_no_place_for_anything_else(done):
+    one = next(path for _, path in runs(done, "out"))
+    for command in (("resume", one), ("rerank", one, "--top", 5, "--out", one)):
+        assert "`qdgrasp campaign" in sentence(done(*command))
+    assert "holds a campaign" in sentence(done("resume", "out"))
+    run = ("run", "--gripper", "panda", "--object", "mug", "--evaluations", 1, "--out")
+    assert "campaign" in sentence(done(*run, "out"))
+    for path in (one, one.with_name("another")):
+        assert "is for a run of a campaign" in sentence(done(*run, path))
+    assert "--out" in sentence(done("campaign", "out", "--out", "elsewhere"))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ('"contact_rand", ', "", "such as 'panda-tennis_ball-contact_rand-s0-population40'"),
+        ("population = 40", "population = 30", "3 runs that are not asked for any more"),
+        ("evaluations = 160", "evaluations = 159", "at least 160, which are recorded"),
+    ],
+)
+def test_a_campaign_that_would_lose_something_is_refused_and_stays_as_it_was(done, before, after, words):
+    said = sentence(done("campaign", write(done.home, SMALL.replace(before, after)), "--out", "out"))
+    assert words in said
+    assert read_campaign(done.home / "out" / "campaign.toml").runs == read_campaign(write(done.home)).runs
+
+
+def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done(qdgrasp, done):
+    broken = qdgrasp.home / "broken.stl"
+    broken.write_bytes(b"this is no mesh")
+    text = SMALL + f'[[cross]]\nobject = "{broken}"\nmass = 0.3\nmethod = "contact_rand"\n'
+    ended = qdgrasp("campaign", write(qdgrasp.home, text), "--workers", 2, "--out", "out")
+    assert "1 of 4 runs could not be carried out" in sentence(ended)
+    assert "broken" in ended.err
+    assert not list((qdgrasp.home / "out" / "runs").glob("*broken*"))
+    assert digests(qdgrasp) == digests(done)
+    trimesh.creation.box(extents=(0.05, 0.06, 0.07)).export(broken)
+    mended = qdgrasp("campaign", "out", "--workers", 2)
+    assert mended.code == 0, mended.err
+    assert "4 of 4 runs" in mended.out
+
+
+# Something dies.
+
+
+def start(qdgrasp: Commands, rows: int) -> subprocess.Popen[str]:
+    """A campaign of which some rows are on disk already."""
+    command = ("campaign", write(qdgrasp.home), "--workers", 2, "--batch-size", 10, "--out", "out")
+    process = qdgrasp.start(*command)
+    wait_for(lambda: recorded(qdgrasp) >= rows or process.poll() is not None, f"{rows} rows")
+    assert process.poll() is None, process.communicate()
+    return process
+
+
+def recorded(qdgrasp: Commands) -> int:
+    return sum(map(rows_recorded, (qdgrasp.home / "out" / "runs").glob("[!.]*")))
+
+
+def pid_of(process: subprocess.Popen[str], role: str) -> int:
+    return next(pid for name, pid in processes_of(process.pid).items() if name.startswith(f"qdgrasp-{role}"))
+
+
+def go_on(qdgrasp: Commands, done: Commands) -> None:
+    ended = qdgrasp("campaign", "out", "--workers", 2)
+    assert ended.code == 0, ended.err
+    assert digests(qdgrasp) == digests(done)
+
+
+def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):
+    process = start(qdgrasp, 60)
+    started = list(processes_of(process.pid).values())
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "`qdgrasp campaign out` goes on" in err
+    assert not any(map(is_alive, started))
+    go_on(qdgrasp, done)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [1, 250])
+def test_a_killed_coordinator_ends_the_campaign_early_and_it_goes_on(qdgrasp, done, rows):
+    process = start(qdgrasp, rows)
+    kill(pid_of(process, "coordinator"))
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert "was killed by SIGKILL" in err
+    assert "`qdgrasp campaign out` goes on" in err
+    go_on(qdgrasp, done)
+
+
+@pytest.mark.slow
+def test_a_killed_recorder_is_started_again_and_no_run_loses_anything(qdgrasp, done):
+    process = start(qdgrasp, 30)
+    for rows in (30, 250):
+        wait_for(lambda rows=rows: recorded(qdgrasp) >= rows, f"{rows} rows")
+        wait_for(lambda: any("recorder" in name for name in processes_of(process.pid)), "a recorder")
+        kill(pid_of(process, "recorder"))
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert digests(qdgrasp) == digests(done)
+
+
+@pytest.mark.slow
+def test_when_the_command_is_killed_its_processes_end_and_finished_runs_stay(qdgrasp, done):
+    process = start(qdgrasp, 250)
+    started = list(processes_of(process.pid).values())
+    kill(process.pid)
+    process.communicate()
+    wait_for(lambda: not any(map(is_alive, started)), "the orphans' end")
+    go_on(qdgrasp, done)
+
+
+@pytest.mark.slow
+def test_a_campaign_in_use_is_left_alone(qdgrasp):
+    process = start(qdgrasp, 1)
+    assert "in use" in sentence(qdgrasp("campaign", "out"))
+    assert process.poll() is None
+
+
+@pytest.mark.slow
+def test_a_worker_started_by_hand_helps(qdgrasp, done):
+    ended = qdgrasp.start("campaign", write(qdgrasp.home), "--workers", 0, "--out", "out")
+    endpoint = qdgrasp.home / "out" / "endpoint"
+    wait_for(endpoint.is_file, "the router")
+    options = ("--connect", endpoint.read_text().strip(), "--job", "out")
+    worker = qdgrasp.start(*options, module="qdgrasp_worker.cli")
+    out, err = ended.communicate(timeout=120)
+    assert ended.returncode == 0, err
+    assert "3 of 3 runs" in out
+    worker.terminate()
+    assert worker.wait(30) == 143
+    assert digests(qdgrasp) == digests(done)
+
+
+@pytest.mark.slow
+def test_every_method_works_with_a_hand_of_three_fingers(qdgrasp):
+    """A slice of `every.toml`: the rest takes hours."""
+    text = EVERY.read_text()
+    first = text.partition("[[cross]] #")[0].replace("evaluations = 300", "evaluations = 60")
+    begin, end = first.index("object = ["), first.index("]\n", first.index("object = [")) + 2
+    slice_ = first[:begin] + 'object = "mug"\n' + first[end:]
+    slice_ = slice_.replace('["panda", "barrett", "allegro", "shadow"]', '"barrett"')
+    ended = qdgrasp("campaign", write(qdgrasp.home, slice_), "--out", "out", "--workers", 2)
+    assert ended.code == 0, ended.err
+    assert "11 of 11 runs with 660 evaluations" in ended.out
+    for folder in (qdgrasp.home / "out" / "runs").iterdir():
+        assert qdgrasp.info(folder)["errors"] == 0
