@@ -2,6 +2,7 @@
 
 import hashlib
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from queue import SimpleQueue
@@ -40,6 +41,7 @@ class Runs:
     def __init__(self, plans: dict[str, Plan | None]) -> None:
         self.extent = Extent(runs=len(plans), evaluations=sum(p.evaluations for p in plans.values() if p))
         self._left = list(plans.items())
+        self.pipelines: list[weakref.ref[Pipeline]] = []
         self.has_room = threading.Event()
         self.has_room.set()
 
@@ -53,6 +55,7 @@ class Runs:
             raise RunFailed(name, "Its mesh is no mesh.")
         search = Chain(plan.population, plan.seed)
         pipeline = Pipeline(search, SHAPE, plan.evaluations, plan.overlaps)
+        self.pipelines.append(weakref.ref(pipeline))
         bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
         return Assignment(name, b"", bundle, "none", SHAPE, pipeline, plan.evaluations)
 
@@ -275,3 +278,11 @@ def test_nobody_works_on_what_a_finished_run_does_not_need() -> None:
     rows = job.records["slow"].rows
     again, held, crossing = 2 * np.count_nonzero(rows["outcome"] == Outcome.ERROR), 2 * 2, 1
     assert worker.rows <= len(rows) + again + held + crossing
+
+
+def test_what_a_finished_run_held_is_let_go() -> None:
+    job = Job({f"run-{seed}": Plan(seed=seed, evaluations=20) for seed in range(40)})
+    job.carry_out()
+    assert len(job.programme.pipelines) == 40
+    last_opened = 1
+    assert sum(pipeline() is not None for pipeline in job.programme.pipelines) <= last_opened
