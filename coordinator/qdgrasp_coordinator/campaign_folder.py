@@ -8,7 +8,6 @@ from qdgrasp_coordinator.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.job_folder import CAMPAIGN, LOGS, RUNS, Job, JobFolder
 from qdgrasp_coordinator.programme import Extent
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_protocol.keys import job_name
 
 
 def begin(path: Path, asked: Campaign, job: str | None = None) -> Extent:
@@ -32,7 +31,7 @@ def begin(path: Path, asked: Campaign, job: str | None = None) -> Extent:
     """
     if not JobFolder.is_job(path):
         disk.check_free(path)
-        files = Job(job or job_name(path.absolute().name)).file | {CAMPAIGN: asked.toml.encode()}
+        files = Job.begun(path, job).file | {CAMPAIGN: asked.toml.encode()}
         disk.create(path, files, folders=[LOGS, RUNS])
         return CampaignRuns(None, asked.runs).extent
     folder = open_campaign(path)

@@ -16,7 +16,6 @@ from qdgrasp_coordinator.job_folder import LOGS, RUN, RUNS, Job, JobFolder
 from qdgrasp_coordinator.journal import Journal
 from qdgrasp_coordinator.journal_format import Identity
 from qdgrasp_protocol.errors import FolderError, MessageError
-from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, read_run_spec, run_spec, to_toml
 
@@ -48,8 +47,7 @@ class RunFolder:
             The folder holds another run or other files, or cannot be made.
         """
         cls.check_free(path)
-        owner = Job(job or job_name(path.absolute().name))
-        disk.create(path, owner.file | _files(spec, bundle), folders=[LOGS])
+        disk.create(path, Job.begun(path, job).file | _files(spec, bundle), folders=[LOGS])
         return cls(path)
 
     @classmethod

@@ -19,6 +19,7 @@ import msgspec
 
 from qdgrasp_coordinator import disk, lock
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.keys import Keys, job_name
 
 JOB, ENDPOINT, LOGS, RUNS, CAMPAIGN = "job.json", "endpoint", "logs", "runs", "campaign.toml"
 SUPERVISED = "supervised"
@@ -32,6 +33,17 @@ class Job(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     job: str
     epoch: int = 0
     """Of the last coordinator; 0 before the first."""
+
+    @classmethod
+    def begun(cls, path: Path, name: str | None) -> "Job":
+        """The job of a new folder at `path`; without a name it is called after the folder.
+
+        Raises
+        ------
+        ImpossibleValue
+            The name is not of the allowed characters.
+        """
+        return cls(job_name(path.absolute().name) if name is None else Keys(name).job)
 
     @property
     def file(self) -> dict[str, bytes]:

@@ -10,7 +10,7 @@ from qdgrasp_coordinator.campaign import Campaign, campaign, read_campaign
 from qdgrasp_coordinator.campaign_folder import begin, open_campaign
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue
 
 
 def asked(**values: Any) -> Campaign:
@@ -55,6 +55,14 @@ def test_a_campaign_keeps_its_name_on_the_bus(path: Path) -> None:
     begin(path, asked(), "many")
     with pytest.raises(FolderError, match="is of job 'many', not 'few'"):
         begin(path, asked(), "few")
+
+
+def test_a_name_that_the_bus_cannot_carry_begins_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ImpossibleValue, match="job must be 1 to 64 of the characters"):
+        begin(tmp_path / "many", asked(), "a/b c")
+    with pytest.raises(ImpossibleValue, match="job must be"):
+        RunFolder.create(tmp_path / "one", next(iter(asked().runs.values())), None, job="")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_single_run_is_no_campaign(tmp_path: Path) -> None:
