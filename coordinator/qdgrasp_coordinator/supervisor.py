@@ -5,7 +5,7 @@ The same processes, commands and messages as on many machines; there is no secon
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
@@ -95,7 +95,9 @@ class Supervisor:
         try:
             bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop))
         except EndpointError:
-            watch.look(time.monotonic())  # the coordinator's death says more
+            watch.look(time.monotonic())  # the coordinator's end says more
+            if watch.is_done:
+                return nullcontext()
             raise
         return bus.subscribe(Keys(self._folder.name).stat("job"), self._news.put)
 

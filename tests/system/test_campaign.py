@@ -131,6 +131,7 @@ def test_a_file_that_asks_for_what_cannot_be_is_refused(qdgrasp, text, words):
 
 def test_what_is_no_campaign_is_refused(qdgrasp, reference):
     assert "nowhere.toml" in sentence(qdgrasp("campaign", "nowhere.toml"))
+    assert "`qdgrasp campaign many.toml`" in sentence(qdgrasp("run", write(qdgrasp.home).name))
     assert "single run" in sentence(qdgrasp("campaign", reference[0]))
     file = write(qdgrasp.home)
     assert "single run" in sentence(qdgrasp("campaign", file, "--out", reference[0]))
@@ -202,9 +203,14 @@ def pid_of(process: subprocess.Popen[str], role: str) -> int:
 
 
 def go_on(qdgrasp: Commands, done: Commands) -> None:
+    """Go on with a campaign: it ends as an undisturbed one, and no finished run is evaluated again."""
+    before, whole = cpu_seconds(qdgrasp), digests(done)
+    finished = [name for name, found in digests(qdgrasp).items() if found == whole[name]]
     ended = qdgrasp("campaign", "out", "--workers", 2)
     assert ended.code == 0, ended.err
-    assert digests(qdgrasp) == digests(done)
+    assert digests(qdgrasp) == whole
+    after = cpu_seconds(qdgrasp)
+    assert {name: after[name] for name in finished} == {name: before[name] for name in finished}
 
 
 def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):

@@ -14,6 +14,7 @@ from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.ranking import is_reranking, write_ranking
 from qdgrasp_coordinator.summary import summary
 from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import Stop, lifetime
 from qdgrasp_protocol.spec import RunSpec, read_run_spec
 
@@ -114,4 +115,6 @@ def show_ranking(folder: RunFolder) -> None:
 
 def _merged(spec: Path | None, flags: dict[str, Any]) -> dict[str, Any]:
     values = read_run_spec(spec) if spec else {}
+    if "cross" in values:
+        raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
     return values | {name: value for name, value in flags.items() if value is not None}
