@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.priors import PRIORS
-from qdgrasp_worker.rotation import Floats
 from qdgrasp_worker.surface import Surface
 
 

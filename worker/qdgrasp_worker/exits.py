@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_worker.rotation import Floats, dot
+from qdgrasp_assets.rotation import Floats, dot
 
 NEAREST = 1e-4  # m: an exit nearer than this is the surface that the ray starts on
 EDGE = 1e-9  # how far beyond an edge still counts, so that no ray slips between two triangles

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import qdgrasp_assets.genes
+import qdgrasp_assets.rotation
 import qdgrasp_assets.scene
 import qdgrasp_protocol.genome
 import qdgrasp_protocol.outcome
@@ -24,6 +25,7 @@ SERVING = frozenset({"cli", "desk", "bundles", "platform", "service"})
 """Modules of this room that bring work and carry results away, without a say in them."""
 CONTRACTS = (
     qdgrasp_assets.genes,
+    qdgrasp_assets.rotation,
     qdgrasp_assets.scene,
     qdgrasp_protocol.genome,
     qdgrasp_protocol.outcome,

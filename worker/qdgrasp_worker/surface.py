@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from qdgrasp_assets.rotation import Floats, unit
 from qdgrasp_assets.scene import Scene
 from qdgrasp_worker.exits import cross, last_exits
-from qdgrasp_worker.rotation import Floats, unit
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
+from qdgrasp_assets.rotation import Floats, conjugate, from_euler, multiply, rotate
 from qdgrasp_worker.grasp import Pose
-from qdgrasp_worker.rotation import Floats, conjugate, from_euler, multiply, rotate
 
 FRICTION_DECIMALS = 6
 """What frictions are rounded to: in decimals, so that the ends of an interval stay what the table says."""

@@ -13,10 +13,10 @@ from math import sqrt
 
 import numpy as np
 
+from qdgrasp_assets.rotation import Floats, conjugate, dot, from_frame, multiply, tangents, turned
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.exits import cross
 from qdgrasp_worker.priors.prior import Poses, Prior
-from qdgrasp_worker.rotation import Floats, conjugate, dot, from_frame, multiply, tangents, turned
 from qdgrasp_worker.surface import Surface
 
 COS_NU_T = sqrt(3.0) / 2.0

@@ -10,9 +10,9 @@ code divides by the normal's z. Only the zeros differ: both angles cover the ful
 
 import numpy as np
 
+from qdgrasp_assets.rotation import Floats, conjugate, from_frame, multiply, tangents, turned
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.priors.prior import Poses, Prior
-from qdgrasp_worker.rotation import Floats, conjugate, from_frame, multiply, tangents, turned
 from qdgrasp_worker.surface import Surface
 
 

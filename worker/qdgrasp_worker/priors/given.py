@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol import genome
 from qdgrasp_protocol.genome import Layout
 from qdgrasp_worker.priors.prior import Poses, Prior
-from qdgrasp_worker.rotation import Floats
 from qdgrasp_worker.surface import Surface
 
 ROUNDING = 1e-6

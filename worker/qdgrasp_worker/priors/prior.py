@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.genome import Layout
-from qdgrasp_worker.rotation import Floats
 from qdgrasp_worker.surface import Surface
 
 

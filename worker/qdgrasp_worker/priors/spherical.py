@@ -7,9 +7,9 @@ about the centre and the poles. The paper does not print the genes; they are tho
 
 import numpy as np
 
+from qdgrasp_assets.rotation import Floats, from_euler
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.priors.prior import Poses, Prior
-from qdgrasp_worker.rotation import Floats, from_euler
 from qdgrasp_worker.surface import Surface
 
 

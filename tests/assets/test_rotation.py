@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_worker.rotation import (
+from qdgrasp_assets.rotation import (
     conjugate,
     dot,
     from_euler,
