@@ -116,9 +116,8 @@ def write_ranking(folder: RunFolder) -> str:
     with disk.writing(folder.path):
         disk.write(folder.path / RANKING, _as_csv(table))
     shown = [COLUMNS[:9], *(tuple(f"{value:g}" for value in line[:9]) for line in table[:SHOWN])]
-    lines = [
-        "  ".join(f"{word:>{len(name)}}" for word, name in zip(line, COLUMNS, strict=False)) for line in shown
-    ]
+    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    lines = ["  ".join(map(str.rjust, line, widths)) for line in shown]
     return "\n".join([*lines, f"{len(table)} grasps ranked in {folder.path / RANKING}"])
 
 

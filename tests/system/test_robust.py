@@ -10,7 +10,7 @@ from tests.system.commands import Commands, rows_recorded, wait_for
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.ranking import best, grasps
 
-CUBE = ("--gripper", "panda", "--object", "rubiks_cube", "--population", 30, "--evaluations", 60)
+CUBE = ("--gripper", "panda", "--object", "rubiks_cube", "--population", 20, "--evaluations", 40)
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +29,10 @@ def ranking(folder: Path) -> list[dict[str, str]]:
 
 def test_a_robust_run_has_its_budget_of_nominal_rows_and_all_trials_of_its_successes(qdgrasp, robust):
     info = qdgrasp.info(robust[0])
-    assert (info["complete"], info["evaluations"], info["errors"]) == (True, 60, 0)
+    assert (info["complete"], info["evaluations"], info["errors"]) == (True, 40, 0)
     assert info["successes"] > 5
     assert info["trials"] == 100 * info["successes"]
-    assert info["rows"] == 60 + info["trials"]
+    assert info["rows"] == 40 + info["trials"]
     assert info["eta"]["successes"] == info["successes"]
     assert info["mean_fitness"] == pytest.approx(200 * info["eta"]["mean"])
     assert 0 < info["eta"]["mean"] < info["eta"]["best"] < 1
@@ -51,20 +51,20 @@ def test_a_robust_run_that_is_killed_in_its_trials_ends_with_the_same_digest(qdg
 
 
 def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp, robust):
-    done = qdgrasp("rerank", robust[0], "--top", 5, "--out", "again")
+    done = qdgrasp("rerank", robust[0], "--top", 3, "--out", "again")
     assert done.code == 0, done.err
-    assert "5 grasps ranked" in done.out
+    assert "3 grasps ranked" in done.out
     heard = {
         (int(row["generation"]), int(row["index"])): float(row["fitness"]) / 200
         for row in grasps(RunFolder.open(robust[0]))
     }
     lines = ranking(qdgrasp.home / "again")
-    assert len(lines) == 5
+    assert len(lines) == 3
     for line in lines:
         source = int(line["source_generation"]), int(line["source_index"])
         assert float(line["eta"]) == heard[source]
     info = qdgrasp.info("again")
-    assert (info["method"], info["evaluations"], info["trials"]) == ("given", 5, 500)
+    assert (info["method"], info["evaluations"], info["trials"]) == ("given", 3, 300)
 
 
 def test_a_reranking_that_is_killed_goes_on_elsewhere_as_a_run_and_is_ranked(qdgrasp, reference):
