@@ -18,6 +18,13 @@ NU_A = np.pi / 4
 
 ANTIPODAL = "antipodal"
 """The prior that needs a two-finger hand."""
+AIMED = "aimed"
+"""The prior that aims at a cell and chooses among candidates."""
+FEATURES = ("swept", "near", "facing", "distance", "height", "constant")
+"""What `AIMED` ranks candidates by, and tells of the pose that it took (docs/methods.md)."""
+MOST_CANDIDATES = 32
+STEEPEST = 8.0
+"""The greatest weight of a feature."""
 
 
 def layout(scene: Scene, prior: str) -> Layout:
@@ -35,6 +42,11 @@ def layout(scene: Scene, prior: str) -> Layout:
     synergy = (Gene("synergy", 0.0, len(gripper.synergies) - 1.0),) if gripper.synergies else ()
     free = tuple(Gene(joint.name, joint.low, joint.high) for joint in gripper.free_joints)
     return Layout(prior, OWN[prior](scene) + synergy + free)
+
+
+def descriptors(prior: str) -> int:
+    """How many numbers describe the pose of a genome: its position, and what its prior tells beside it."""
+    return 3 + (len(FEATURES) if prior == AIMED else 0)
 
 
 def archive_box(scene: Scene, prior: str) -> Box:
@@ -95,7 +107,22 @@ def _spherical(scene: Scene) -> Genes:
     return (radius, *(Gene(name, 0.0, high) for name, high in angles.items()))
 
 
+def _aimed(scene: Scene) -> Genes:
+    """The cell to aim at, the contact point and roll to take, how freely to draw, and how to rank."""
+    target = zip("xyz", *(corner.tolist() for corner in archive_box(scene, AIMED)), strict=True)
+    contact = zip("xyz", scene.object_low, scene.object_high, strict=True)
+    return (
+        *(Gene(f"{axis}_t", low, high) for axis, low, high in target),
+        *(Gene(f"{axis}_c", low, high) for axis, low, high in contact),
+        Gene("omega", 0.0, 2 * np.pi),
+        Gene("looseness", 0.0, 1.0),
+        Gene("candidates", 1.0, float(MOST_CANDIDATES)),
+        *(Gene(f"w_{feature}", -STEEPEST, STEEPEST) for feature in FEATURES),
+    )
+
+
 OWN: dict[str, Callable[[Scene], Genes]] = {
+    AIMED: _aimed,
     GIVEN: _given,
     ANTIPODAL: _antipodal,
     "approach": _approach,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import OWN, archive_box, layout, spherical_radius
+from qdgrasp_assets.genes import OWN, archive_box, descriptors, layout, spherical_radius
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_protocol.errors import JawNeeded
 from qdgrasp_protocol.spec import RunSpec
@@ -20,7 +20,9 @@ def with_gripper(scene: Scene, **changes) -> Scene:
     return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, **changes))
 
 
+WEIGHTS = ("w_swept", "w_near", "w_facing", "w_distance", "w_height", "w_constant")
 NAMES = {
+    "aimed": ("x_t", "y_t", "z_t", "x_c", "y_c", "z_c", "omega", "looseness", "candidates", *WEIGHTS),
     "antipodal": ("x_r", "y_r", "z_r", "Omega"),
     "approach": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),
     "contact": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),
@@ -56,7 +58,7 @@ def test_the_search_radius_is_that_of_the_released_code_but_for_the_margins_of_b
 
 
 def test_positions_about_the_object_are_kept_within_its_box_and_the_reach(cube) -> None:
-    for prior in ("antipodal", "approach", "contact"):
+    for prior in ("aimed", "antipodal", "approach", "contact"):
         low, high = archive_box(cube, prior)
         np.testing.assert_allclose(low, np.array(cube.object_low) - 0.112)
         np.testing.assert_allclose(high, np.array(cube.object_high) + 0.112)
@@ -66,6 +68,18 @@ def test_spherical_positions_are_kept_within_the_ball_about_the_centre_of_mass(c
     low, high = archive_box(cube, "spherical")
     assert set(high) == set(-low) == {spherical_radius(cube)}
     assert layout(cube, "spherical").genes[0].high == high[0]
+
+
+def test_the_target_of_aimed_may_be_anywhere_in_the_box_of_its_archive(cube) -> None:
+    genes = layout(cube, "aimed").genes[:3]
+    low, high = archive_box(cube, "aimed")
+    assert [gene.low for gene in genes] == low.tolist()
+    assert [gene.high for gene in genes] == high.tolist()
+
+
+def test_aimed_describes_a_pose_by_the_features_of_its_ranking_too() -> None:
+    assert descriptors("aimed") == 9
+    assert {descriptors(prior) for prior in OWN if prior != "aimed"} == {3}
 
 
 def test_a_hand_without_a_jaw_has_no_antipodal_genes(cube) -> None:

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import layout
+from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.outcome import Outcome
@@ -66,7 +66,7 @@ class Evaluator:
 
     def shape(self, prior: str) -> Shape:
         """How wide the rows of this scene are with genomes of `prior`."""
-        return Shape(len(layout(self.scene, prior)), len(self.scene.gripper.joints))
+        return Shape(len(layout(self.scene, prior)), len(self.scene.gripper.joints), descriptors(prior))
 
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
         """Evaluate genomes (n, d) of `prior`, each in its trial (n,).
