@@ -4,12 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import archive_box, layout
+from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import check, method
+from qdgrasp_coordinator.space import space
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
 from qdgrasp_protocol.trials import trials
@@ -59,7 +60,7 @@ def assignment(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> A
     """A run, ready for the coordinator."""
     chosen = method(spec.method)
     shape = scene_shape(scene, chosen.prior)
-    search = chosen.build(spec, shape.genes, archive_box(scene, chosen.prior))
+    search = chosen.build(spec, space(scene, chosen.prior))
     pipeline = Pipeline(
         search,
         shape,
@@ -73,4 +74,4 @@ def assignment(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> A
 
 def scene_shape(scene: Scene, prior: str) -> Shape:
     """How wide the rows of a scene are."""
-    return Shape(genes=len(layout(scene, prior)), joints=len(scene.gripper.joints))
+    return Shape(len(layout(scene, prior)), len(scene.gripper.joints), descriptors(prior))

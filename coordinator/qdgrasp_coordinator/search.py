@@ -1,18 +1,18 @@
 """Searches: ask and tell, and the table of methods.
 
 A search is a fold over ordered tells: what it asks in a generation depends on the seed and on what it was
-told, never on clocks, workers or the order of arrival (the pipeline orders). It knows genomes in [-1, 1]
-and rows; it does not know what the genes mean.
+told, never on clocks, workers or the order of arrival (the pipeline orders). It knows genomes in [-1, 1],
+rows and its space; the paper's methods take no notice of what the genes mean.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from qdgrasp_coordinator.archive import Box
 from qdgrasp_coordinator.searches import cma_mae, given
 from qdgrasp_coordinator.searches.map_elites import MapElites, select_successes, select_uniform
 from qdgrasp_coordinator.searches.random import RandomSearch
+from qdgrasp_coordinator.space import Space
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.genome import GIVEN, Genomes
 from qdgrasp_protocol.rows import Rows
@@ -35,8 +35,8 @@ class Search(Protocol):
         """
 
 
-Build = Callable[[RunSpec, int, Box], Search]
-"""Makes a search from a spec, the number of genes, and the box of hand positions."""
+Build = Callable[[RunSpec, Space], Search]
+"""Makes a search from a spec and the space of its genomes."""
 
 
 Check = Callable[[RunSpec], None]
@@ -93,16 +93,20 @@ PRIORS = {
 }
 
 
-def _random(spec: RunSpec, genes: int, box: Box) -> Search:
-    return RandomSearch(spec.seed, spec.population, genes)
+def _random(spec: RunSpec, space: Space) -> Search:
+    return RandomSearch(spec.seed, spec.population, space.genes)
 
 
-def _me_rand(spec: RunSpec, genes: int, box: Box) -> Search:
-    return MapElites(spec, genes, box, select_uniform)
+def _me_rand(spec: RunSpec, space: Space) -> Search:
+    return MapElites(spec, space.genes, space.box, select_uniform)
 
 
-def _me_scs(spec: RunSpec, genes: int, box: Box) -> Search:
-    return MapElites(spec, genes, box, select_successes)
+def _me_scs(spec: RunSpec, space: Space) -> Search:
+    return MapElites(spec, space.genes, space.box, select_successes)
+
+
+def _cma_mae(spec: RunSpec, space: Space) -> Search:
+    return cma_mae.CmaMae(spec, space.genes, space.box)
 
 
 FAMILIES = (
@@ -111,7 +115,7 @@ FAMILIES = (
     Family("me_scs", _me_scs, "MAP-Elites, successful elites first"),
     Family(
         "cma_mae",
-        cma_mae.CmaMae,
+        _cma_mae,
         "CMA-MAE, 15 evolution strategies",
         population=cma_mae.POPULATION,
         check=cma_mae.check,
@@ -123,8 +127,8 @@ METHODS = {
 }
 
 
-def _given(spec: RunSpec, genes: int, box: Box) -> Search:
-    return given.given(spec, genes)
+def _given(spec: RunSpec, space: Space) -> Search:
+    return given.given(spec, space.genes)
 
 
 SCORING = Method(GIVEN, GIVEN, _given, given.check, "count", 500, "The poses of the spec, each once.")

@@ -49,7 +49,21 @@ class Layout:
 
     def values(self, genomes: Genomes) -> NDArray[np.float64]:
         """Map genomes (n, d) in [-1, 1] to their intervals; (n, d) in m and rad, float64."""
-        low = np.array([gene.low for gene in self.genes])
-        high = np.array([gene.high for gene in self.genes])
+        low, high = self.intervals
         values: NDArray[np.float64] = low + (genomes.astype(np.float64) + 1.0) / 2.0 * (high - low)
         return values
+
+    def genomes(self, values: NDArray[np.float64]) -> Genomes:
+        """The genomes that stand for values (n, d) in m and rad, the inverse of `values`: (n, d).
+
+        What lies outside its interval is put on the border; the gene of an interval without width is 0.
+        """
+        low, high = self.intervals
+        width = high - low
+        shares = np.divide(values - low, width, out=np.full(values.shape, 0.5), where=width > 0)
+        return np.clip(2.0 * shares - 1.0, -1.0, 1.0).astype(np.float32)
+
+    @property
+    def intervals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What -1 and +1 stand for, (d,) each."""
+        return np.array([gene.low for gene in self.genes]), np.array([gene.high for gene in self.genes])

@@ -2,6 +2,7 @@
 
 import numpy as np
 from tests.benchmarks.measure import Figure, Meter
+from tests.coordinator.spaces import plain
 
 from qdgrasp_coordinator.dispatch import Dispatch
 from qdgrasp_coordinator.pipeline import Pipeline
@@ -14,7 +15,6 @@ from qdgrasp_protocol.rows import RESULT, Shape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = Shape(genes=7, joints=2)
-BOX = ([-0.2] * 3, [0.2] * 3)
 WID = "0" * 32
 METHODS = ("contact_rand", "contact_me_scs")
 
@@ -25,7 +25,7 @@ def measure(seconds: float) -> list[Figure]:
 
 def _coordinator(name: str, seconds: float) -> Figure:
     spec = RunSpec(gripper="panda", object="mug", method=name, evaluations=10**9)
-    search = method(name).build(spec, SHAPE.genes, BOX)
+    search = method(name).build(spec, plain(SHAPE.genes))
     pipeline, dispatch = Pipeline(search, SHAPE, spec.evaluations, "count"), Dispatch(1, 64)
     dispatch.join(WID, 1, 8, [], 0.0)
     meter = Meter()

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.coordinator.simulated import SHAPE, Plan, World, reference
+from tests.coordinator.spaces import plain
 
 from qdgrasp_coordinator import outbox
 from qdgrasp_coordinator.search import METHODS, Search
@@ -112,7 +113,7 @@ def test_without_trouble_every_batch_is_evaluated_once(seed: int) -> None:
 def test_the_methods_end_with_the_same_journal_through_all_of_it(name: str) -> None:
     def build(population: int, seed: int) -> Search:
         spec = RunSpec(gripper="hand", object="thing", population=population, seed=seed)
-        return METHODS[name].build(spec, SHAPE.genes, ([-0.2] * 3, [0.2] * 3))
+        return METHODS[name].build(spec, plain(SHAPE.genes))
 
     for seed in range(5):
         plan = Plan(

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.coordinator.spaces import plain
 
 from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.pipeline import Pipeline
@@ -16,7 +17,6 @@ from qdgrasp_protocol.spec import RunSpec
 
 GENES = 7
 SHAPE = Shape(genes=GENES, joints=2)
-BOX = (np.full(3, -0.2), np.full(3, 0.2))
 GENERATIONS = 6
 POPULATION = 60
 OVER_THE_CUBE = [entry for entry in METHODS.values() if not entry.name.endswith("cma_mae")]
@@ -52,7 +52,7 @@ def asked(search: Search) -> list[np.ndarray]:
 class TestEverySearch:
     @pytest.fixture
     def build(self, entry: Method) -> Callable[..., Search]:
-        return lambda seed=0: entry.build(spec(seed), GENES, BOX)
+        return lambda seed=0: entry.build(spec(seed), plain(GENES))
 
     def test_a_generation_has_the_population_in_float32_within_the_cube(self, build) -> None:
         for genomes in asked(build()):
@@ -120,7 +120,7 @@ def _rows(generation: Generation) -> Rows:
 
 @pytest.mark.parametrize("entry", OVER_THE_CUBE, ids=lambda entry: entry.name)
 def test_it_starts_uniform_over_the_cube(entry: Method) -> None:
-    many = np.concatenate([entry.build(spec(seed), GENES, BOX).ask(0) for seed in range(40)])
+    many = np.concatenate([entry.build(spec(seed), plain(GENES)).ask(0) for seed in range(40)])
     assert np.abs(many.mean(axis=0)).max() < 0.06
     assert np.abs(many.std(axis=0) - 1 / np.sqrt(3)).max() < 0.03
 

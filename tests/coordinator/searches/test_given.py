@@ -3,6 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
+from tests.coordinator.spaces import plain
 
 from qdgrasp_coordinator.preparation import full_spec
 from qdgrasp_coordinator.search import METHODS, check, method
@@ -12,12 +13,11 @@ from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 POSES = tuple(
     tuple(float(str(x)) for x in row) for row in np.random.default_rng(2).normal(size=(7, 9)).astype("f4")
 )
-BOX = (np.full(3, -0.2), np.full(3, 0.2))
 SPEC = RunSpec(gripper="panda", object="mug", method="given", poses=POSES, evaluations=7, population=3)
 
 
 def test_the_poses_of_a_spec_are_asked_in_their_order_bit_for_bit() -> None:
-    search = method("given").build(from_toml(to_toml(SPEC)), 9, BOX)
+    search = method("given").build(from_toml(to_toml(SPEC)), plain(9))
     asked = [search.ask(generation) for generation in range(4)]
     assert [len(genomes) for genomes in asked] == [3, 3, 1, 0]
     assert (
@@ -50,4 +50,4 @@ def test_poses_are_for_the_method_given_and_needed_by_it() -> None:
 )
 def test_poses_that_cannot_be_scored_are_refused(change: dict, words: str) -> None:
     with pytest.raises(ImpossibleValue, match=words):
-        method("given").build(msgspec.structs.replace(SPEC, **change), 9, BOX)
+        method("given").build(msgspec.structs.replace(SPEC, **change), plain(9))
