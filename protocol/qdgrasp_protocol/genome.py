@@ -61,7 +61,8 @@ class Layout:
         low, high = self.intervals
         width = high - low
         shares = np.divide(values - low, width, out=np.full(values.shape, 0.5), where=width > 0)
-        return np.clip(2.0 * shares - 1.0, -1.0, 1.0).astype(np.float32)
+        genomes: Genomes = np.clip(2.0 * shares - 1.0, -1.0, 1.0).astype(np.float32)
+        return genomes
 
     @property
     def intervals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
