@@ -167,13 +167,19 @@ class RunsFailed(InputError):
         How many runs the job has.
     """
 
+    NAMED = 10
+    """So many are named besides the first."""
+
     def __init__(self, failures: Sequence[RunFailed], total: int) -> None:
-        first = failures[0]
+        first, *others = failures
         if total == 1:
             super().__init__(str(first))
             return
+        names = ", ".join(f"'{other.run}'" for other in others[: self.NAMED])
+        more = f" and {len(others) - self.NAMED} more" if len(others) > self.NAMED else ""
         super().__init__(
             f"{len(failures)} of {total} runs could not be carried out; the first is '{first.run}': {first}"
+            + (f" The others: {names}{more}." if others else "")
         )
 
 

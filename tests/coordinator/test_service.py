@@ -200,6 +200,14 @@ def test_a_run_that_cannot_be_made_is_told_of_when_the_others_are_done() -> None
     assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
 
 
+def test_of_many_runs_that_cannot_be_made_some_are_named() -> None:
+    bad = dict.fromkeys([f"bad-{number}" for number in range(13)])
+    with pytest.raises(
+        RunsFailed, match=r"13 of 14 runs .* 'bad-0': Its .* 'bad-1', .*'bad-10' and 2 more\.$"
+    ):
+        Job({**bad, "run-0": PLANS["run-0"]}).carry_out()
+
+
 def test_the_only_run_of_a_job_fails_with_its_own_sentence() -> None:
     with pytest.raises(InputError, match=r"^Its mesh is no mesh\.$"):
         Job({"bad": None}).carry_out()
