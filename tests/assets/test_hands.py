@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper import Gripper
+from qdgrasp_assets.grippers import barrett_hulls
 from qdgrasp_assets.shapes import shapes
 from qdgrasp_assets.urdf import Urdf
 
@@ -96,6 +97,15 @@ def test_a_joint_that_a_gene_places_stays_within_its_limits(own):
 
 def test_every_link_that_moves_is_a_finger(own):
     assert set(own.gripper.file.finger_links) == {joint.child for joint in own.moving}
+
+
+@pytest.mark.parametrize("name", barrett_hulls.HULLS)
+def test_the_hulls_of_the_barrett_are_those_that_its_dimensions_make(name):
+    made = barrett_hulls.hull(barrett_hulls.HULLS[name]())
+    kept = trimesh.load_mesh(barrett_hulls.HERE / f"barrett_{name}.stl")
+    assert made.is_convex
+    for side in np.random.default_rng(0).normal(size=(500, 3)):
+        assert (kept.vertices @ side).max() == pytest.approx((made.vertices @ side).max(), abs=1e-6)
 
 
 @pytest.mark.parametrize("name", ["allegro", "shadow"])

@@ -1,0 +1,110 @@
+"""The hulls of the gripper `barrett`, from dimensions: `python -m qdgrasp_assets.grippers.barrett_hulls`.
+
+Each is the convex hull of a few turned parts and corners, and is written as STL beside this file. They are
+in the frames of their links; dimensions are millimetres, and follow the published hand's to half of one.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+"""(n, 3) [mm]."""
+HERE = Path(__file__).parent
+CORNERS = 16
+"""Of a circle."""
+BULGE = 2.0 / (1.0 + np.cos(np.pi / CORNERS))
+"""How far out the corners lie, so that the sides are as far within the circle as the corners beyond it."""
+AXES = {"y": (2, 0, 1), "z": (0, 1, 2)}
+"""The places of a circle's two coordinates and of its height."""
+
+
+def disc(axis: str, centre: Sequence[float], rings: Sequence[tuple[float, float]]) -> Points:
+    """A turned part: circles about an axis through `centre`, each at a height, with a radius."""
+    angles = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
+    circle = BULGE * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    flat = [np.column_stack([radius * circle, np.full(CORNERS, height)]) for height, radius in rings]
+    points: Points = np.concatenate(flat)[:, np.argsort(AXES[axis])] + np.array(centre)
+    return points
+
+
+def mirrored(axis: str, points: Sequence[Sequence[float]], middle: float = 0.0) -> Points:
+    """Points and their mirror images: across the plane at `middle` on an axis, from where they are given."""
+    direction = np.arange(3) == "xyz".index(axis)
+    right = np.array(points, float)
+    left = right * np.where(direction, -1.0, 1.0)
+    both: Points = np.concatenate([right, left]) + middle * direction
+    return both
+
+
+def palm() -> Points:
+    """A drum, its front bevelled, with the seat of the finger that does not spread behind and above."""
+    drum = disc("z", (0, 0, 0), [(0, 43), (5, 44.4), (62, 44.2)])
+    rim = disc("z", (0, 0, 0), [(75, 44.2)])
+    front = [
+        (12.5, 40.1, 70),
+        (18, 33.7, 73),
+        (26.8, 22.7, 78),
+        (36.1, 23.9, 75.6),
+        (38.6, 15.7, 78),
+        (42, -2, 78),
+    ]
+    seat = [(6.8, -51.6, 20), (10, -61.6, 43), (11.7, -65, 50), (11.7, -65, 74), (11.7, -62.6, 83)]
+    top = [(11.7, -58.6, 87.4), (11, -51.4, 90.4), (13.5, -47, 89.4), (9, -48.3, 90.4)]
+    return np.concatenate([drum, rim[rim[:, 1] < 18], mirrored("x", [*front, *seat, *top])])
+
+
+def knuckle() -> Points:
+    """The first link of a finger that spreads: a drum on the palm, and the seat of the next link."""
+    drum = disc("z", (0, 0, 0), [(-5, 9), (-1.5, 12.3), (24.8, 12.3), (30, 9)])
+    seat = disc("y", (-50, 0, 33.9), [(-12.3, 13.8), (-11.2, 14.9), (11.2, 14.9), (12.3, 13.8)])
+    foot = [(-64.8, 11.3, 8.8), (-64.1, 12.3, 9.6), (-50, 11.3, 0.5), (-49.8, 12.3, 1.4)]
+    return np.concatenate([drum, seat, mirrored("y", foot)])
+
+
+def finger() -> Points:
+    """The link between knuckle and fingertip: a drum at either end, a flat back."""
+    near = disc("z", (0, 0, 0.8), [(-10.5, 10), (-2.5, 12.4), (2.5, 12.4), (10.5, 10)])
+    far = disc("z", (-69.5, 3.3, 0), [(-8.7, 5.5), (-2.2, 9.9), (5.5, 9.9), (9.3, 3.5)])
+    back = [(-25.5, 15, 5.5), (-54.6, 15, 5.5), (-13.5, 12.2, 9.5), (-58.4, 12.4, 9.5), (-59, -6.4, 8.4)]
+    return np.concatenate([near, far, mirrored("z", back, 0.8)])
+
+
+def fingertip() -> Points:
+    """The last link: a drum, bent by half a right angle, and a rounded end."""
+    drum = disc("z", (0, 0, 0.6), [(-11.5, 6.4), (-9.7, 8.6), (-7, 9.4), (7, 9.4), (9.7, 8.6), (11.5, 6.4)])
+    inset = {
+        6.0: [(-47.7, 34.9), (-40.2, 39.9), (-37, 40.3), (-33.8, 39.8), (-20.6, 31.2), (-7, 20.1)],
+        9.7: [(-44.9, 33.2), (-41.8, 36.7), (-38.4, 38.1), (-34.6, 38), (-21.5, 29.7), (-8.5, 19)],
+        11.5: [(-40.9, 33), (-39.8, 34.4), (-36.3, 35.4), (-34.6, 34.9), (-23.3, 27.5), (-10, 15.5)],
+    }
+    end = [(x, y, height) for height, outline in inset.items() for x, y in outline]
+    return np.concatenate([drum, mirrored("z", end, 0.6)])
+
+
+HULLS: dict[str, Callable[[], Points]] = {
+    "palm": palm,
+    "knuckle": knuckle,
+    "finger": finger,
+    "fingertip": fingertip,
+}
+
+
+def hull(points: Points) -> Any:
+    """The convex hull of points [mm] as a mesh [m]."""
+    import trimesh
+
+    return trimesh.convex.convex_hull(np.round(points, 3) / 1000.0)
+
+
+def main() -> None:
+    """Write all hulls."""
+    for name, points in HULLS.items():
+        hull(points()).export(HERE / f"barrett_{name}.stl")
+
+
+if __name__ == "__main__":
+    main()
