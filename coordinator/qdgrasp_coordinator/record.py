@@ -117,9 +117,20 @@ class RecorderLink(Record):
         return opened
 
     def recorded(self, first: int, wait: Callable[[], None]) -> Stretch:
-        """A page of rows from the recorder's journal."""
-        request = Log(run=self._run, first=first, limit=PAGE)
-        page = codec.decode(self._ask(self._keys.log, request, wait), Recordable)
+        """A page of rows from the recorder's journal.
+
+        Raises
+        ------
+        InputError
+            The recorder cannot read it, and says why.
+        """
+        try:
+            request = Log(run=self._run, first=first, limit=PAGE)
+            page = codec.decode(self._ask(self._keys.log, request, wait), Recordable)
+        except Refused as refusal:
+            raise InputError(
+                f"The recorder does not show the rows of run '{self._run}': {refusal}."
+            ) from None
         return from_message(page, self._shape)
 
     def _ask(self, key: str, request: Message, wait: Callable[[], None]) -> bytes:
