@@ -93,7 +93,9 @@ class CampaignRuns:
 
 
 def recorded(path: Path, spec: RunSpec) -> Tally | None:
-    """What a run's folder holds of the run that `spec` asks for; None: nothing was begun.
+    """What a run's folder holds of the run that `spec` asks for.
+
+    None: nothing was begun, or its journal cannot be read; why not is told when the recorder opens it.
 
     Raises
     ------
@@ -107,7 +109,10 @@ def recorded(path: Path, spec: RunSpec) -> Tally | None:
     differ = [key for key in spec.__struct_fields__ if getattr(known, key) != getattr(spec, key)]
     if differ:
         raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
-    return tally_within(folder, spec)
+    try:
+        return tally_within(folder, spec)
+    except FolderError:
+        return None
 
 
 def _share_scene(one: RunSpec, other: RunSpec) -> bool:

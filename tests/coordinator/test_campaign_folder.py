@@ -10,6 +10,7 @@ from qdgrasp_coordinator.campaign import Campaign, campaign, read_campaign
 from qdgrasp_coordinator.campaign_folder import begin, open_campaign
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.journal_format import FILE
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue
 
 
@@ -49,6 +50,13 @@ def test_a_run_that_is_asked_for_otherwise_is_refused_and_the_folder_left_as_it_
     with pytest.raises(FolderError, match=r"another spec \(mass\)"):
         begin(path, asked(seed=[0, 1, 2]))
     assert read_campaign(path / CAMPAIGN).runs == asked().runs
+
+
+def test_a_damaged_journal_keeps_no_campaign_from_going_on(path: Path) -> None:
+    name, spec = next(iter(asked().runs.items()))
+    run = RunFolder.add(JobFolder(path), name, spec, None)
+    (run.path / FILE).write_bytes(b"no journal")
+    assert begin(path, asked()).runs_done == 0
 
 
 def test_a_campaign_keeps_its_name_on_the_bus(path: Path) -> None:

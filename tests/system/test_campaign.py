@@ -3,7 +3,9 @@
 import os
 import shutil
 import signal
+import sqlite3
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -180,6 +182,22 @@ def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done
     mended = qdgrasp("campaign", "out", "--workers", 2)
     assert mended.code == 0, mended.err
     assert "4 of 4 runs" in mended.out
+
+
+@pytest.mark.slow
+def test_a_damaged_journal_is_told_of_at_the_end_and_the_others_are_done(done, qdgrasp):
+    shutil.copytree(done.home / "out", qdgrasp.home / "out")
+    name, path = runs(qdgrasp, "out")[0]
+    with closing(sqlite3.connect(path / "run.sqlite")) as journal, journal:
+        journal.execute("UPDATE blocks SET crc = crc + 1 WHERE first = 0")
+    grown = SMALL.replace('method = ["contact_rand"', 'seed = [0, 1]\nmethod = ["contact_rand"')
+    ended = qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
+    said = sentence(ended)
+    assert f"1 of 5 runs could not be carried out; the first is '{name}'" in said
+    assert "are not what was recorded" in said
+    others = [found for other, found in runs(qdgrasp, "out") if other != name]
+    assert len(others) == 4
+    assert all(rows_recorded(other) >= 160 for other in others)
 
 
 # Something dies.
