@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper import Gripper
-from qdgrasp_assets.grippers import barrett_hulls
+from qdgrasp_assets.grippers import hulls
 from qdgrasp_assets.shapes import shapes
 from qdgrasp_assets.urdf import Urdf
 
@@ -99,10 +99,10 @@ def test_every_link_that_moves_is_a_finger(own):
     assert set(own.gripper.file.finger_links) == {joint.child for joint in own.moving}
 
 
-@pytest.mark.parametrize("name", barrett_hulls.HULLS)
-def test_the_hulls_of_the_barrett_are_those_that_its_dimensions_make(name):
-    made = barrett_hulls.hull(barrett_hulls.HULLS[name]())
-    kept = trimesh.load_mesh(barrett_hulls.HERE / f"barrett_{name}.stl")
+@pytest.mark.parametrize("name", hulls.HULLS)
+def test_the_hulls_of_a_hand_are_those_that_its_dimensions_make(name):
+    made = hulls.hull(hulls.HULLS[name]())
+    kept = trimesh.load_mesh(hulls.HERE / f"{name}.stl")
     assert made.is_convex
     for side in np.random.default_rng(0).normal(size=(500, 3)):
         assert (kept.vertices @ side).max() == pytest.approx((made.vertices @ side).max(), abs=1e-6)
@@ -170,11 +170,11 @@ def surfaces(hand, posture, owner):
     """Points on the surface of each link (n, 3) [m], base frame; Bullet sees the hull of each shape."""
     element, files = hand.robot.bundled()
     frames = hand.robot.forward(posture)
-    hulls = {}
+    found = {}
     for shape in shapes(replace(hand.robot, element=element), files):
         hull = trimesh.convex.convex_hull(placed(shape.vertices, frames[shape.link]))
-        hulls.setdefault(owner(shape.link), []).append(hull)
-    return {link: np.concatenate(list(outer(parts))) for link, parts in hulls.items()}
+        found.setdefault(owner(shape.link), []).append(hull)
+    return {link: np.concatenate(list(outer(parts))) for link, parts in found.items()}
 
 
 def outer(parts):

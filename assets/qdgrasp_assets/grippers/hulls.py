@@ -1,7 +1,7 @@
-"""The hulls of the gripper `barrett`, from dimensions: `python -m qdgrasp_assets.grippers.barrett_hulls`.
+"""The hulls of `barrett` and `robotiq_2f`, from dimensions: `python -m qdgrasp_assets.grippers.hulls`.
 
 Each is the convex hull of a few turned parts and corners, and is written as STL beside this file. They are
-in the frames of their links; dimensions are millimetres, and follow the published hand's to half of one.
+in the frames of their links; dimensions are millimetres, and follow the published hands' to half of one.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Points = NDArray[np.float64]
 """(n, 3) [mm]."""
@@ -31,7 +31,7 @@ def disc(axis: str, centre: Sequence[float], rings: Sequence[tuple[float, float]
     return points
 
 
-def mirrored(axis: str, points: Sequence[Sequence[float]], middle: float = 0.0) -> Points:
+def mirrored(axis: str, points: ArrayLike, middle: float = 0.0) -> Points:
     """Points and their mirror images: across the plane at `middle` on an axis, from where they are given."""
     direction = np.arange(3) == "xyz".index(axis)
     right = np.array(points, float)
@@ -40,7 +40,7 @@ def mirrored(axis: str, points: Sequence[Sequence[float]], middle: float = 0.0) 
     return both
 
 
-def palm() -> Points:
+def barrett_palm() -> Points:
     """A drum, its front bevelled, with the seat of the finger that does not spread behind and above."""
     drum = disc("z", (0, 0, 0), [(0, 43), (5, 44.4), (62, 44.2)])
     rim = disc("z", (0, 0, 0), [(75, 44.2)])
@@ -57,7 +57,7 @@ def palm() -> Points:
     return np.concatenate([drum, rim[rim[:, 1] < 18], mirrored("x", [*front, *seat, *top])])
 
 
-def knuckle() -> Points:
+def barrett_knuckle() -> Points:
     """The first link of a finger that spreads: a drum on the palm, and the seat of the next link."""
     drum = disc("z", (0, 0, 0), [(-5, 9), (-1.5, 12.3), (24.8, 12.3), (30, 9)])
     seat = disc("y", (-50, 0, 33.9), [(-12.3, 13.8), (-11.2, 14.9), (11.2, 14.9), (12.3, 13.8)])
@@ -65,7 +65,7 @@ def knuckle() -> Points:
     return np.concatenate([drum, seat, mirrored("y", foot)])
 
 
-def finger() -> Points:
+def barrett_finger() -> Points:
     """The link between knuckle and fingertip: a drum at either end, a flat back."""
     near = disc("z", (0, 0, 0.8), [(-10.5, 10), (-2.5, 12.4), (2.5, 12.4), (10.5, 10)])
     far = disc("z", (-69.5, 3.3, 0), [(-8.7, 5.5), (-2.2, 9.9), (5.5, 9.9), (9.3, 3.5)])
@@ -73,7 +73,7 @@ def finger() -> Points:
     return np.concatenate([near, far, mirrored("z", back, 0.8)])
 
 
-def fingertip() -> Points:
+def barrett_fingertip() -> Points:
     """The last link: a drum, bent by half a right angle, and a rounded end."""
     drum = disc("z", (0, 0, 0.6), [(-11.5, 6.4), (-9.7, 8.6), (-7, 9.4), (7, 9.4), (9.7, 8.6), (11.5, 6.4)])
     inset = {
@@ -85,12 +85,45 @@ def fingertip() -> Points:
     return np.concatenate([drum, mirrored("z", end, 0.6)])
 
 
+def robotiq_palm() -> Points:
+    """A drum whose front narrows to the flat between the fingers."""
+    drum = disc("z", (0, 0, 0), [(-3, 12.9), (0, 37), (40, 37.5)])
+    rim = [(41.6, 4.9, 52), (40.8, 8.6, 52), (42.3, 5, 63), (40.3, 9.1, 66), (41.5, 4.9, 67.2), (37, 9.1, 72)]
+    front = [(24.5, 4.7, 91.7), (23.2, 8.5, 91.8), (15.8, 5, 97.9), (14.8, 9.1, 97.9)]
+    flank = [(5, 28.3, 59), (11, 31, 51), (12.5, 25, 64), (37.5, 12.8, 59)]
+    return np.concatenate([drum, mirrored("x", mirrored("y", [*rim, *front, *flank]))])
+
+
+def robotiq_knuckle() -> Points:
+    """The inner knuckle: a bar between two pins, wider at the palm."""
+    pins = [disc("y", (0, 0, 0), [(-19.5, 6), (19.5, 6)]), disc("y", (34.4, 0, 45.4), [(-12, 6), (12, 6)])]
+    outer = [(0, 19.5, 9.8), (12.9, 17.5, 26.9), (20.8, 15.5, 37.2), (24.3, 15.5, 38.5), (26.8, 13.5, 44.8)]
+    inner = [(9.5, 19.5, 2.4), (22.5, 17.5, 19.7), (30.2, 15.5, 30), (30.6, 15.5, 33.7), (36, 13.5, 37.8)]
+    end = [(36.9, 13.5, 46.5), (34.9, 13.5, 48)]
+    return np.concatenate([*pins, mirrored("y", [*outer, *inner, *end])])
+
+
+def robotiq_finger() -> Points:
+    """The inner finger, which is the fingertip: its flat pad in front, and the pin behind it."""
+    pin = disc("y", (18, 0, -6.6), [(-7.1, 5.9), (7.1, 5.9)])
+    pad = [(-7.8, 11, 7), (-7.8, 11, 40), (-7.8, 10, 42), (-7.8, 8, 43.8), (-7.8, 7, 44), (-7.8, 9.5, 7)]
+    tip = [(-0.3, 11, 37.6), (-1, 11, 40), (-1, 10, 42), (-1, 8, 43.8), (-1, 7, 44), (4, 7.1, 38)]
+    foot = [(-6.2, 9, 1.6), (-5.6, 7.1, -2.1), (-4.6, 7.1, -3.9), (-3, 7.1, -5.2), (-7, 10, 4.3)]
+    back = [(-0.3, 11, 6.6), (-0.7, 10, 1.7), (4.6, 10, 1.7), (5.8, 10, 26.2)]
+    bend = [(6.4, 9, -3.5), (10.3, 9, -3.5), (12.7, 9, -0.7), (12.6, 9, 13.5)]
+    return np.concatenate([pin, mirrored("y", [*pad, *tip, *foot, *back, *bend])])
+
+
 HULLS: dict[str, Callable[[], Points]] = {
-    "palm": palm,
-    "knuckle": knuckle,
-    "finger": finger,
-    "fingertip": fingertip,
+    "barrett_palm": barrett_palm,
+    "barrett_knuckle": barrett_knuckle,
+    "barrett_finger": barrett_finger,
+    "barrett_fingertip": barrett_fingertip,
+    "robotiq_2f_palm": robotiq_palm,
+    "robotiq_2f_knuckle": robotiq_knuckle,
+    "robotiq_2f_finger": robotiq_finger,
 }
+"""The hulls by their files' names."""
 
 
 def hull(points: Points) -> Any:
@@ -103,7 +136,7 @@ def hull(points: Points) -> Any:
 def main() -> None:
     """Write all hulls."""
     for name, points in HULLS.items():
-        hull(points()).export(HERE / f"barrett_{name}.stl")
+        hull(points()).export(HERE / f"{name}.stl")
 
 
 if __name__ == "__main__":
