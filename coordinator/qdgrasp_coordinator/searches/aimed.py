@@ -1,0 +1,135 @@
+"""The search that aims: a try in an empty cell beside a success, with the grasp that worked next door.
+
+What an archive tells grasps apart by, the position of the hand, is known before anything is simulated. So
+the search chooses the cell first, by its frontier, and then the genes that bring the hand there: the contact
+point, roll and posture of a successful neighbour. The worker makes candidates of these, screens them for
+overlap, and simulates the one that a model ranks first; the model learns here, and its weights travel in the
+genome.
+
+New in this project, not from the paper. What selects is success alone; where the frontier is poor, some of
+the tries go to cells whose grasp is not robust, beside one that is better.
+"""
+
+import numpy as np
+
+from qdgrasp_assets.genes import MOST_CANDIDATES
+from qdgrasp_assets.rotation import Floats
+from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.searches.aims import OWN, SYNERGY, TARGET, Aims, directions, joined
+from qdgrasp_coordinator.searches.frontier import Frontier, Places
+from qdgrasp_coordinator.searches.hints import Hints
+from qdgrasp_coordinator.searches.scouts import scouts
+from qdgrasp_coordinator.searches.success_model import SuccessModel
+from qdgrasp_coordinator.space import Space
+from qdgrasp_protocol.genome import Genomes, Layout
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import RunSpec
+
+START = 150
+"""Genomes that scout before any is aimed."""
+SCOUTS = 0.02
+"""The share that scouts later."""
+LOST = 2000
+"""While there is no success the scouts go astray more and more, half of them after so many genomes."""
+REDRAWN = 0.15
+"""The probability that a synergy is drawn anew."""
+DRIFT = 0.05
+"""How far free joints move from their neighbour's: standard deviation, in genes."""
+POOR = 0.25
+"""What an empty cell must be worth; for less, a weak grasp is tried again."""
+AGAIN = 0.5
+"""The greatest share of a generation for weak grasps."""
+SAME = 0.1
+"""Grasps whose ranks differ by less are taken for equally good."""
+
+
+class Aimed:
+    """Aims at empty cells beside successes.
+
+    Parameters
+    ----------
+    spec
+        Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
+    space
+        Of the prior `aimed`.
+    """
+
+    def __init__(self, spec: RunSpec, space: Space) -> None:
+        self._spec = spec
+        self._space = space
+        self._frontier = Frontier(space.box)
+        self._hints = Hints(self._frontier.size, space.approach_axis, space.genes - OWN)
+        self._model = SuccessModel()
+        self._candidates = 1 if spec.overlaps == "count" else MOST_CANDIDATES
+        self._asked = 0
+
+    def ask(self, generation: int) -> Genomes:
+        """Aims at the best cells, and scouts: (population, genes)."""
+        aimed = self._aimed(self._targets(generation), generation)
+        aims = joined(aimed, self._scouts(generation, self._spec.population - len(aimed)))
+        genomes = aims.genomes(self._space.layout, self._candidates, self._model.weights)
+        self._frontier.aim(self._aimed_at(genomes))
+        self._asked += len(genomes)
+        return genomes
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Hear which cells were reached, which were dead ends, and what the poses looked like."""
+        is_dead = rows["outcome"] < Outcome.MISSED
+        self._frontier.fail(self._aimed_at(rows["genome"][is_dead]))
+        successes = rows[rows["outcome"] >= Outcome.DROPPED]
+        places = self._frontier.places(successes["descriptor"][:, :3])
+        successes, places = successes[places >= 0], places[places >= 0]
+        self._frontier.succeed(places)
+        self._hints.learn(places, successes)
+        self._model.learn(rows)
+
+    def _targets(self, generation: int) -> Places:
+        """The cells to aim at, each once, at most as many as the population; none in the beginning."""
+        if self._asked < START:
+            return np.zeros(0, np.intp)
+        generator = draws(self._spec.seed, "targets", generation)
+        n = int(np.count_nonzero(generator.random(self._spec.population) >= SCOUTS))
+        best = self._frontier.best(n, generator)
+        is_poor = self._frontier.worth(best) < POOR
+        spare = min(int(np.count_nonzero(is_poor)), int(AGAIN * n))
+        weak = self._frontier.rarest(self._hints.weak, spare, generator)
+        return np.concatenate([self._frontier.best(len(best) - len(weak), generator, best), weak])
+
+    def _aimed(self, targets: Places, generation: int) -> Aims:
+        """The grasps of neighbours, for the cells `targets`."""
+        generator = draws(self._spec.seed, "parents", generation)
+        parents = self._parents(targets, generator)
+        centres, contacts = self._frontier.centres(targets), self._hints.points(parents)
+        rolls = self._hints.rolls(parents, directions(centres, contacts))
+        postures = self._varied(self._hints.postures(parents), generator)
+        return Aims(centres, contacts, rolls, np.zeros(len(targets)), postures)
+
+    def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
+        """For each target a successful neighbour; for one that has a success already the best around it."""
+        options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
+        ranks, lots = self._hints.ranks(options), generator.random(options.shape)
+        is_empty = ranks[:, -1:] < 0
+        preference = np.where(is_empty, lots, ranks + SAME * lots)
+        chosen = np.where(ranks < 0, -1.0, preference).argmax(axis=1)
+        parents: Places = options[np.arange(len(targets)), chosen]
+        return parents
+
+    def _varied(self, postures: Floats, generator: np.random.Generator) -> Floats:
+        """Postures (n, k) with some synergies drawn anew and free joints moved a little."""
+        names = self._space.layout.names[OWN:]
+        anew = generator.uniform(-1.0, 1.0, postures.shape)
+        moved = np.clip(postures + DRIFT * generator.standard_normal(postures.shape), -1.0, 1.0)
+        is_anew = generator.random((len(postures), 1)) < REDRAWN
+        is_synergy = np.array([name == SYNERGY for name in names], dtype=np.bool_)
+        return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
+
+    def _scouts(self, generation: int, n: int) -> Aims:
+        found = len(self._hints) > 0
+        astray = 0.0 if found else min(0.5, 0.5 * self._asked / LOST)
+        return scouts(self._space, n, astray, draws(self._spec.seed, "scouts", generation))
+
+    def _aimed_at(self, genomes: Genomes) -> Places:
+        """The cells (n,) that genomes (n, d) aim at."""
+        target = Layout(self._space.layout.prior, self._space.layout.genes[TARGET])
+        return self._frontier.places(target.values(genomes[:, TARGET]))

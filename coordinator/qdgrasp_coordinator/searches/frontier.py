@@ -1,0 +1,130 @@
+"""The frontier: the empty cells beside successes, and which of them to try next.
+
+A cell is worth a try when many of its 26 neighbours hold a success and few tries were spent on it:
+(successful neighbours + 1) / (tries + dead ends / 2 + 1), where a try is a simulated pose and a dead end a
+genome of which nothing could be simulated.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qdgrasp_coordinator.archive import Box
+from qdgrasp_coordinator.cells import PER_METRE, cells
+
+Places = NDArray[np.intp]
+"""(n,): cells of a frontier, as places in its grid."""
+DEAD_END = 0.5
+"""What a dead end weighs against a try: it costs no simulation, and the next draw may be none."""
+NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
+"""(26, 3): the steps from a cell to those around it."""
+
+
+class Frontier:
+    """All cells of a box, with what was tried in them.
+
+    Every step costs what it concerns, never a pass over all cells: a large hand around a large object has
+    some 400 000.
+
+    Parameters
+    ----------
+    box
+        The box of positions, enlarged to whole cells.
+    """
+
+    def __init__(self, box: Box) -> None:
+        self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
+        self._shape = tuple(
+            (self._high - self._low + 3).tolist()
+        )  # one more on every side: no step leaves it
+        size = int(np.prod(self._shape))
+        self._around = NEIGHBOURS @ np.array([self._shape[1] * self._shape[2], self._shape[2], 1])
+        self._tries = np.zeros(size, np.int32)
+        self._dead_ends = np.zeros(size, np.int32)
+        self._successful = np.zeros(size, np.bool_)
+        self._neighbours = np.zeros(size, np.uint8)
+        self._within = np.zeros(self._shape, np.bool_)
+        self._within[1:-1, 1:-1, 1:-1] = True
+        self._within = self._within.reshape(-1)
+        self._edge: Places = np.zeros(0, np.intp)
+
+    @property
+    def size(self) -> int:
+        """How many places there are: the cells of the box, and those around it, which stay empty."""
+        return len(self._tries)
+
+    @property
+    def edge(self) -> Places:
+        """The empty cells beside a success, those that became so first in front."""
+        return self._edge
+
+    @property
+    def successful(self) -> NDArray[np.bool_]:
+        """Which cells, by place, hold a success."""
+        return self._successful
+
+    def places(self, positions: ArrayLike) -> Places:
+        """The cell (n,) of each position (n, 3) [m]; -1 outside the box."""
+        found = cells(positions)
+        inside = ((found >= self._low) & (found <= self._high)).all(axis=1)
+        shifted = np.where(inside[:, None], found - self._low + 1, 0)
+        return np.where(inside, np.ravel_multi_index(tuple(shifted.T), self._shape), -1)
+
+    def centres(self, places: Places) -> NDArray[np.float64]:
+        """The middle (n, 3) [m] of cells (n,)."""
+        indices = np.stack(np.unravel_index(places, self._shape), axis=1)
+        centres: NDArray[np.float64] = (indices - 1 + self._low) / PER_METRE
+        return centres
+
+    def around(self, places: Places) -> Places:
+        """The 26 neighbours (n, 26) of cells (n,); those beyond the box never hold a success."""
+        around: Places = places[:, None] + self._around
+        return around
+
+    def aim(self, places: Places) -> None:
+        """Count a try in each of `places` (n,), which may repeat; until it is heard of, it counts as one."""
+        np.add.at(self._tries, places, 1)
+
+    def fail(self, places: Places) -> None:
+        """Hear that tries in `places` (n,) were dead ends."""
+        np.add.at(self._tries, places, -1)
+        np.add.at(self._dead_ends, places, 1)
+
+    def succeed(self, places: Places) -> None:
+        """Hear that `places` (n,), in any order and repeated, hold a success."""
+        new = np.unique(places[~self._successful[places]])
+        if not len(new):
+            return
+        self._successful[new] = True
+        around = self.around(new).ravel()
+        touched = np.unique(around[(self._neighbours[around] == 0) & self._within[around]])
+        np.add.at(self._neighbours, around, 1)
+        edge = np.concatenate([self._edge, touched])
+        self._edge = edge[~self._successful[edge]]
+
+    def worth(self, places: Places) -> NDArray[np.float64]:
+        """What a try in each of `places` (n,) promises; greater is better, 2 is the least of a new cell."""
+        spent = self._tries[places] + DEAD_END * self._dead_ends[places]
+        worth: NDArray[np.float64] = (self._neighbours[places] + 1.0) / (spent + 1.0)
+        return worth
+
+    def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:
+        """The `n` of the edge, or of `among`, that are worth most; fewer where there are not so many.
+
+        Among equals `generator` draws.
+        """
+        places = self._edge if among is None else among
+        return top(places, self.worth(places), n, generator)
+
+    def rarest(self, places: Places, n: int, generator: np.random.Generator) -> Places:
+        """The `n` of `places` with the fewest tries; among equals `generator` draws."""
+        spent = self._tries[places] + DEAD_END * self._dead_ends[places]
+        return top(places, -spent, n, generator)
+
+
+def top(places: Places, worth: NDArray[np.float64], n: int, generator: np.random.Generator) -> Places:
+    """The `n` of `places` with the greatest worth; among equals `generator` draws."""
+    if len(places) <= n or not n:
+        return places[:n]
+    least = np.partition(worth, -n)[-n]
+    sure, equal = places[worth > least], places[worth == least]
+    return np.concatenate([sure, generator.choice(equal, n - len(sure), replace=False)])

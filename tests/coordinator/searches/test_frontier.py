@@ -1,0 +1,109 @@
+"""The cells of a box, and which of them are tried next."""
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.searches.frontier import Frontier
+
+BOX = (np.full(3, -0.05), np.full(3, 0.05))
+MIDDLE = np.zeros((1, 3))
+
+
+def generator(number: int = 0) -> np.random.Generator:
+    return draws(0, "targets", number)
+
+
+@pytest.fixture
+def frontier() -> Frontier:
+    return Frontier(BOX)
+
+
+def by_hand(frontier: Frontier, found: np.ndarray) -> set[tuple[int, ...]]:
+    """The empty cells of the box beside `found` cells (n, 3), one by one."""
+    cells = {tuple(cell) for cell in found}
+    around = {tuple(np.add(cell, step) - 1) for cell in cells for step in np.ndindex(3, 3, 3)}
+    return {cell for cell in around - cells if max(map(abs, cell)) <= 5}
+
+
+def test_places_and_centres_are_each_others_inverse(frontier: Frontier) -> None:
+    cells = np.stack(np.meshgrid(*[np.arange(-5, 6)] * 3), axis=-1).reshape(-1, 3)
+    places = frontier.places(cells / 100)
+    assert len(np.unique(places)) == 11**3
+    assert places.min() >= 0
+    assert frontier.centres(places) == pytest.approx(cells / 100)
+
+
+def test_positions_outside_the_box_have_no_place(frontier: Frontier) -> None:
+    assert frontier.places([[0.056, 0, 0], [0, -0.056, 0], [0.054, 0, 0]]).tolist()[:2] == [-1, -1]
+    assert frontier.places([[0.054, 0, 0]])[0] >= 0
+
+
+def test_a_success_makes_its_26_neighbours_worth_a_try(frontier: Frontier) -> None:
+    frontier.succeed(frontier.places(MIDDLE))
+    reached = np.rint(frontier.centres(frontier.edge) * 100)
+    assert len(reached) == 26
+    assert np.abs(reached).max(axis=1).tolist() == [1] * 26
+    assert frontier.worth(frontier.edge).tolist() == [2] * 26
+
+
+def test_the_edge_is_what_one_finds_cell_by_cell(frontier: Frontier) -> None:
+    random = np.random.default_rng(1)
+    found = np.zeros((0, 3), int)
+    for _ in range(12):
+        new = random.integers(-5, 6, (random.integers(1, 8), 3))
+        found = np.concatenate([found, new])
+        frontier.succeed(frontier.places(new / 100))
+        edge = np.rint(frontier.centres(frontier.edge) * 100).astype(int)
+        assert len(edge) == len({tuple(cell) for cell in edge})
+        assert {tuple(cell) for cell in edge} == by_hand(frontier, found)
+        beside = (np.abs(edge[:, None] - np.unique(found, axis=0)[None]).max(axis=2) == 1).sum(axis=1)
+        assert frontier.worth(frontier.edge).tolist() == (beside + 1).tolist()
+
+
+def test_the_edge_ends_at_the_box(frontier: Frontier) -> None:
+    frontier.succeed(frontier.places([[0.05, 0.05, 0.05]]))
+    assert len(frontier.edge) == 7
+
+
+def test_a_try_costs_more_than_a_dead_end(frontier: Frontier) -> None:
+    frontier.succeed(frontier.places(MIDDLE))
+    places = frontier.edge[:3]
+    frontier.aim(places)
+    assert frontier.worth(places).tolist() == [1, 1, 1]
+    frontier.fail(places[:1])
+    assert frontier.worth(places).tolist() == [pytest.approx(2 / 1.5), 1, 1]
+
+
+def test_the_best_are_those_with_most_neighbours_and_fewest_tries(frontier: Frontier) -> None:
+    frontier.succeed(frontier.places([[-0.01, 0, 0], [0.01, 0, 0]]))
+    between = frontier.places(MIDDLE)
+    assert between in frontier.best(9, generator())
+    frontier.aim(np.repeat(between, 2))
+    assert between not in frontier.best(30, generator())
+
+
+@pytest.mark.parametrize("n", [0, 1, 20, 26, 400])
+def test_no_cell_is_chosen_twice_and_never_a_successful_one(frontier: Frontier, n: int) -> None:
+    frontier.succeed(frontier.places(MIDDLE))
+    best = frontier.best(n, generator())
+    assert len(np.unique(best)) == len(best) == min(n, 26)
+    assert not frontier.successful[best].any()
+
+
+def test_among_equals_every_cell_has_its_turn(frontier: Frontier) -> None:
+    frontier.succeed(frontier.places(MIDDLE))
+    seen = {int(place) for number in range(60) for place in frontier.best(3, generator(number))}
+    assert seen == set(frontier.edge.tolist())
+
+
+def test_a_dead_end_is_not_tried_for_ever(frontier: Frontier) -> None:
+    frontier.succeed(frontier.places(MIDDLE))
+    times: dict[int, int] = {}
+    for number in range(104):
+        best = frontier.best(5, generator(number))
+        frontier.aim(best)
+        frontier.fail(best)
+        for place in best.tolist():
+            times[place] = times.get(place, 0) + 1
+    assert max(times.values()) - min(times.values()) <= 1
