@@ -35,7 +35,7 @@ def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Shape]:
                 continue
             mesh = FORMS[geometry[0].tag](geometry[0], files)
             mesh.merge_vertices(merge_tex=True, merge_norm=True)
-            mesh.apply_transform(_origin(collision.find("origin")))
+            mesh.apply_transform(origin(collision.find("origin")))
             yield Shape(link.get("name", ""), np.array(mesh.vertices), np.array(mesh.faces))
 
 
@@ -55,14 +55,14 @@ def _mesh(element: ET.Element, files: Mapping[str, bytes]) -> Any:
     name = element.get("filename", "")
     kind = PurePosixPath(name).suffix.removeprefix(".").lower()
     mesh = trimesh.load_mesh(io.BytesIO(files[name]), file_type=kind)
-    mesh.vertices *= _numbers(element, "scale", "1 1 1")
+    mesh.vertices *= numbers(element, "scale", "1 1 1")
     return mesh
 
 
 def _box(element: ET.Element, _: Mapping[str, bytes]) -> Any:
     import trimesh
 
-    return trimesh.creation.box(_numbers(element, "size", "0 0 0"))
+    return trimesh.creation.box(numbers(element, "size", "0 0 0"))
 
 
 def _cylinder(element: ET.Element, _: Mapping[str, bytes]) -> Any:
@@ -81,13 +81,15 @@ FORMS = {"mesh": _mesh, "box": _box, "cylinder": _cylinder, "sphere": _sphere}
 """The geometries of URDF."""
 
 
-def _origin(element: ET.Element | None) -> Floats:
+def origin(element: ET.Element | None) -> Floats:
+    """The frame (4, 4) that an `<origin>` stands for."""
     frame = np.eye(4)
     if element is not None:
-        frame[:3, :3] = Rotation.from_euler("xyz", _numbers(element, "rpy", "0 0 0")).as_matrix()
-        frame[:3, 3] = _numbers(element, "xyz", "0 0 0")
+        frame[:3, :3] = Rotation.from_euler("xyz", numbers(element, "rpy", "0 0 0")).as_matrix()
+        frame[:3, 3] = numbers(element, "xyz", "0 0 0")
     return frame
 
 
-def _numbers(element: ET.Element, name: str, default: str) -> list[float]:
+def numbers(element: ET.Element, name: str, default: str) -> list[float]:
+    """The numbers of an attribute."""
     return [float(word) for word in element.get(name, default).split()]

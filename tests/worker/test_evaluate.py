@@ -106,7 +106,7 @@ def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice
         return run(episode, trial)
 
     monkeypatch.setattr(Episode, "run", run_or_fail)
-    with Evaluator(cube) as evaluator:
+    with Evaluator(cube, filters=False) as evaluator:
         evaluation = evaluator.evaluate("approach", genomes, nominal(genomes))
     assert evaluation.failures == [(poison, "error: Not connected to physics server.")]
     assert not any(evaluation.rows[poison][column.name].any() for column in RESULT)
@@ -114,12 +114,14 @@ def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice
     assert results(evaluation.rows[others]) == results(rows[others])
 
 
-def test_a_reason_is_cut_to_what_a_message_may_hold(evaluator, genomes, monkeypatch):
+def test_a_reason_is_cut_to_what_a_message_may_hold(evaluator, genomes, rows, monkeypatch):
     def fail(episode, trial):
         raise RuntimeError("words " * 100)
 
     monkeypatch.setattr(Episode, "run", fail)
-    [(_, reason)] = evaluator.evaluate("approach", genomes[:1], nominal(genomes[:1])).failures
+    [simulated, *_] = np.flatnonzero(rows["outcome"] >= Outcome.MISSED)
+    genome = genomes[simulated : simulated + 1]
+    [(_, reason)] = evaluator.evaluate("approach", genome, nominal(genome)).failures
     assert reason.startswith("RuntimeError: words words")
     assert len(reason) == 200
 

@@ -55,6 +55,7 @@ CASES = {
     "synergies": ("approach", lambda make: many_ways(make("panda", "tennis_ball", "released"))),
     "antipodal": ("antipodal", lambda make: make("panda", "mug", "paper")),
     "spherical": ("spherical", lambda make: make("panda", "tennis_ball", "paper")),
+    "aimed": ("aimed", lambda make: many_ways(make("panda", "rubiks_cube", "paper"))),
 }
 
 
@@ -68,6 +69,26 @@ def spherical(scene: Scene, genomes: NDArray[np.float32]) -> NDArray[np.float32]
     values = np.column_stack([*polar, angles]) % (2 * np.pi)
     high = [gene.high for gene in layout(scene, "spherical").genes]
     return (values / high * 2 - 1).astype(np.float32)
+
+
+def aimed(scene: Scene, genomes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Genomes of the prior aimed: at cells beside the surface points of genomes of the prior approach."""
+    grasps = Decoder(scene, "approach", Surface(scene))(genomes)
+    genes = layout(scene, "aimed").genes
+    random = np.random.default_rng(4)
+    low, high = [gene.low for gene in genes], [gene.high for gene in genes]
+    values = random.uniform(low, high, (len(genomes), len(genes)))
+    values[:, :3] = grasps.positions + random.integers(0, 2, (len(genomes), 3)) * 0.01
+    values[:, 3:6] = grasps.surface_points
+    values[:, 7] = random.choice([0.0, 0.5, 1.0], len(genomes), p=[0.8, 0.1, 0.1])
+    values[:, 8] = random.choice([1.0, 4.0, 32.0], len(genomes))
+    values[::2, 9:15] = 0.0
+    return encoded(genes, values)
+
+
+def encoded(genes, values: NDArray[np.float64]) -> NDArray[np.float32]:
+    low, high = np.array([gene.low for gene in genes]), np.array([gene.high for gene in genes])
+    return ((values - low) / (high - low) * 2 - 1).astype(np.float32)
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -89,8 +110,9 @@ def evaluate(case, scene):
 def genomes(case, scene, draw):
     if case[0] == "antipodal":
         return draw(320, 4, seed=3)
-    near = draw(320, len(layout(scene, "approach")), seed=3, near=32)
-    return spherical(scene, near) if case[0] == "spherical" else near
+    many = 96 if case[0] == "aimed" else 32
+    near = draw(320, len(layout(scene, "approach")), seed=3, near=many)
+    return {"spherical": spherical, "aimed": aimed}.get(case[0], lambda _, same: same)(scene, near)
 
 
 @pytest.fixture(scope="module")

@@ -41,9 +41,10 @@ class Decoder:
         self._own = len(self.layout) - len(self._free) - bool(self._hand.synergies)
 
     def __call__(self, genomes: NDArray[np.float32]) -> Grasps:
-        """The grasps that genomes (n, d) stand for; a row that stands for none holds NaN."""
-        values = self._prior.values(self.layout, genomes)
-        with np.errstate(invalid="ignore", divide="ignore"):
+        """The candidates for the grasps that genomes (n, d) stand for; NaN where a genome stands for none."""
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            drawn = self._prior.drawn(self._prior.values(self.layout, genomes), genomes, self._surface)
+            values = drawn.genes
             poses = self._prior.poses(values[:, : self._own], self._surface, self._hand)
         return Grasps(
             positions=poses.positions.astype(np.float32),
@@ -53,6 +54,8 @@ class Decoder:
             surface_points=poses.surface_points.astype(np.float32),
             nu=poses.nu.astype(np.float32),
             dead_ends=poses.dead_ends,
+            rows=drawn.rows,
+            weights=drawn.weights,
         )
 
     def _synergies(self, values: Floats) -> NDArray[np.int64]:

@@ -44,7 +44,7 @@ class Episode:
     def run(self, trial: Trial) -> Verdict:
         """Evaluate one trial, from a clean start."""
         pose = trial.pose
-        if self._overlaps(trial):
+        if self.overlaps(trial):
             return Verdict(Outcome.OVERLAP, pose.joints)
         touched = self._close(pose)
         fingers = self._touching_fingers()
@@ -53,7 +53,7 @@ class Episode:
         joints, depth = self.world.fingers(), self._penetration()
         return Verdict(FITNESS[self._shakes_survived()], joints, len(fingers), depth)
 
-    def _overlaps(self, trial: Trial) -> bool:
+    def overlaps(self, trial: Trial) -> bool:
         """Place the open hand; whether any link of it is inside the object."""
         pose = trial.pose
         first = pose.joints if self.protocol.free_joints_first else self.world.opened

@@ -1,7 +1,7 @@
 """Evaluate: a batch of genomes in, a batch of result rows out. Decode, place, close, shake, report."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,22 @@ from qdgrasp_worker.decode import Decoder
 from qdgrasp_worker.episode import Episode, Verdict
 from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.protocols import PROTOCOLS
+from qdgrasp_worker.screen import Screen, Shortlist
 from qdgrasp_worker.surface import Surface
+from qdgrasp_worker.trial import Trial
 from qdgrasp_worker.world import World
 
 REASON_LENGTH = 200
+
+
+class Finding(NamedTuple):
+    """What was found about a genome."""
+
+    place: int
+    """Its pose, in the batch of grasps."""
+    verdict: Verdict
+    proposals: int
+    """How many poses were screened for it."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +46,8 @@ class Evaluation:
 class Evaluator:
     """One Bullet world for one scene; a context manager that leaves it.
 
+    `filters` says whether poses that surely overlap are kept from the simulator; it changes no result.
+
     An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
     batch, or of the process (docs/reproducibility.md).
 
@@ -45,7 +59,7 @@ class Evaluator:
         There is no such evaluation protocol.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, filters: bool = True) -> None:
         if scene.protocol not in PROTOCOLS:
             raise UnknownName("protocol", scene.protocol, PROTOCOLS)
         self.scene = scene
@@ -53,6 +67,12 @@ class Evaluator:
         self._surface = Surface(scene)
         self._decoders: dict[str, Decoder] = {}
         self._world = World(scene)
+        self._screen = Screen(
+            scene,
+            lambda posture, synergy: self._world.closing(posture, synergy),
+            follows_free_joints=self._protocol.free_joints_first,
+            filters=filters,
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -80,9 +100,15 @@ class Evaluator:
         rows = self.shape(prior).empty(len(genomes))
         rows["genome"], rows["trial"] = genomes, trials
         refused = refusals(genomes, trials, grasps, self._protocol.trials)
-        found = [reason or self._verdict(grasps, i, int(trials[i])) for i, reason in enumerate(refused)]
-        verdicts = {i: verdict for i, verdict in enumerate(found) if isinstance(verdict, Verdict)}
-        fill(rows, grasps, verdicts)
+        wanted = np.array([not reason for reason in refused], dtype=bool)
+        shortlists, features = self._screen(grasps, trials, wanted)
+        first = np.searchsorted(grasps.rows, np.arange(len(genomes))).tolist()
+        found = [
+            reason or self._find(grasps, shortlists[i], first[i], int(trials[i]))
+            for i, reason in enumerate(refused)
+        ]
+        findings = {i: finding for i, finding in enumerate(found) if isinstance(finding, Finding)}
+        fill(rows, grasps, features, findings)
         failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
         return Evaluation(rows, failures)
 
@@ -91,24 +117,42 @@ class Evaluator:
             self._decoders[prior] = Decoder(self.scene, prior, self._surface)
         return self._decoders[prior]
 
-    def _verdict(self, grasps: Grasps, i: int, trial: int) -> Verdict | str:
+    def _find(self, grasps: Grasps, shortlist: Shortlist, first: int, trial: int) -> Finding | str:
         """What an episode finds, or the reason why it failed; the next one starts in a new world then."""
-        pose = grasps[i]
-        if grasps.dead_ends[i]:
-            return Verdict(Outcome.DEAD_END, pose.joints)
+        if not shortlist.candidates:
+            return Finding(first, Verdict(Outcome.DEAD_END, grasps[first].joints), 1)
         try:
-            return Episode(self._world, self._protocol).run(self._protocol.trial(pose, trial))
+            place, verdict = self._try(grasps, shortlist, trial)
         except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
             self._world.close()
             self._world = World(self.scene)
             return f"{type(error).__name__}: {error}"
+        return Finding(place, verdict, len(shortlist.candidates))
+
+    def _try(self, grasps: Grasps, shortlist: Shortlist, trial: int) -> tuple[int, Verdict]:
+        """The best candidate that does not overlap, or the first one, and what an episode finds of it.
+
+        It is chosen by trial 0, so that all trials of a genome disturb the same pose.
+        """
+        episode = Episode(self._world, self._protocol)
+        is_choice = len(shortlist.candidates) > 1
+        for place in shortlist.ranked:
+            pose = grasps[place]
+            if trial and is_choice and episode.overlaps(Trial(pose)):
+                continue
+            verdict = episode.run(self._protocol.trial(pose, trial))
+            if trial or verdict.outcome is not Outcome.OVERLAP:
+                return place, verdict
+        first = shortlist.candidates[0]
+        return first, Verdict(Outcome.OVERLAP, grasps[first].joints)
 
 
 def refusals(
     genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: Grasps, last: int
 ) -> list[str]:
     """For each row the reason why it cannot be evaluated; empty where it can. `last` is the last trial."""
-    finite = np.isfinite(genomes).all(axis=1) & grasps.are_finite
+    finite = np.asarray(np.isfinite(genomes).all(axis=1))
+    np.logical_and.at(finite, grasps.rows, grasps.are_finite)
     reasons = {
         "the genome stands for no pose: it holds, or leads to, numbers that are not finite": ~finite,
         f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}": trials > last,
@@ -116,21 +160,26 @@ def refusals(
     return [next((reason for reason, holds in reasons.items() if holds[i]), "") for i in range(len(trials))]
 
 
-def fill(rows: Rows, grasps: Grasps, verdicts: dict[int, Verdict]) -> None:
-    """Write the result columns of those rows that have a verdict, by their place in the batch."""
-    if not verdicts:
+def fill(rows: Rows, grasps: Grasps, features: NDArray[np.float32], findings: dict[int, Finding]) -> None:
+    """Write the result columns of those rows that have a finding, by their place in the batch.
+
+    The `features` (poses, f) of a pose follow its position in the descriptor, where it was simulated.
+    """
+    if not findings:
         return
-    places, found = list(verdicts), list(verdicts.values())
-    positions = grasps.positions[places]
+    places, found = list(findings), [finding.verdict for finding in findings.values()]
+    taken = [finding.place for finding in findings.values()]
+    is_simulated = np.array([[verdict.outcome.is_simulated] for verdict in found], dtype=np.float32)
+    positions = grasps.positions[taken]
     columns = {
         "outcome": [verdict.outcome for verdict in found],
         "fitness": [verdict.fitness for verdict in found],
-        "proposals": 1,
-        "descriptor": positions,
-        "base_to_object": np.concatenate([positions, grasps.quaternions[places]], axis=1),
+        "proposals": [finding.proposals for finding in findings.values()],
+        "descriptor": np.concatenate([positions, features[taken] * is_simulated], axis=1),
+        "base_to_object": np.concatenate([positions, grasps.quaternions[taken]], axis=1),
         "joints": [verdict.joints for verdict in found],
-        "surface_point": grasps.surface_points[places],
-        "nu": grasps.nu[places],
+        "surface_point": grasps.surface_points[taken],
+        "nu": grasps.nu[taken],
         "contacts": [verdict.contacts for verdict in found],
         "penetration": [verdict.penetration for verdict in found],
     }

@@ -18,7 +18,10 @@ class Pose:
 
 @dataclass(frozen=True)
 class Grasps:
-    """A batch of poses and postures, rounded to float32: exactly these are simulated and stored."""
+    """A batch of poses and postures, rounded to float32: exactly these are simulated and stored.
+
+    A genome has one of them, or several, of which one is chosen (`screen`).
+    """
 
     positions: NDArray[np.float32]
     """(n, 3) [m], the hand's root link in the object's CoM frame."""
@@ -33,7 +36,11 @@ class Grasps:
     nu: NDArray[np.float32]
     """(n,) [rad], between the normal there and the direction to the hand; 0 where there is none."""
     dead_ends: NDArray[np.bool_]
-    """(n,): which genomes stand for no pose; zeros are in its place."""
+    """(n,): which of them are no pose; zeros are in its place."""
+    rows: NDArray[np.intp]
+    """(n,): the genome of the batch that each belongs to, ascending."""
+    weights: NDArray[np.float64]
+    """(genomes, f): how a genome ranks its candidates by their features; f is 0 where there is no choice."""
 
     def __len__(self) -> int:
         return len(self.positions)

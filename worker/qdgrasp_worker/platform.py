@@ -9,8 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import qdgrasp_assets.genes
+import qdgrasp_assets.hulls
 import qdgrasp_assets.rotation
 import qdgrasp_assets.scene
+import qdgrasp_assets.shapes
+import qdgrasp_assets.urdf
 import qdgrasp_protocol.genome
 import qdgrasp_protocol.outcome
 import qdgrasp_protocol.rows
@@ -25,8 +28,11 @@ SERVING = frozenset({"cli", "desk", "bundles", "platform", "service"})
 """Modules of this room that bring work and carry results away, without a say in them."""
 CONTRACTS = (
     qdgrasp_assets.genes,
+    qdgrasp_assets.hulls,
     qdgrasp_assets.rotation,
     qdgrasp_assets.scene,
+    qdgrasp_assets.shapes,
+    qdgrasp_assets.urdf,
     qdgrasp_protocol.genome,
     qdgrasp_protocol.outcome,
     qdgrasp_protocol.rows,

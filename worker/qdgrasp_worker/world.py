@@ -116,6 +116,16 @@ class World:
         self._shaken = {joint.shake: (index, joint) for index, joint in carrier}
         self._sweep = self._measure_sweep(gripper)
 
+    def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
+        """The finger joints as they close on nothing, before each step and after the last [rad or m]."""
+        self.reset(Pose(AWAY, UPRIGHT, self.opened, NO_SYNERGY), posture)
+        self.close_fingers(synergy)
+        course = [self.fingers()]
+        for _ in range(CLOSING_STEPS):
+            self.step()
+            course.append(self.fingers())
+        return course
+
     def _measure_sweep(self, gripper: SceneGripper) -> Sweep:
         """Close the hand far from the object, with its free joints all along their ranges."""
         away = Pose(AWAY, UPRIGHT, self.opened, NO_SYNERGY)

@@ -13,6 +13,18 @@ from qdgrasp_worker.surface import Surface
 
 
 @dataclass(frozen=True)
+class Drawn:
+    """The candidates that genomes stand for; most priors have one for each genome."""
+
+    rows: NDArray[np.intp]
+    """(m,): the genome that each is a candidate for, ascending; every genome has one at least."""
+    genes: Floats
+    """(m, d): what its genes stand for, in m and rad."""
+    weights: Floats
+    """(n, f): how each genome ranks its candidates by their features; f is 0 where there is no choice."""
+
+
+@dataclass(frozen=True)
 class Poses:
     """Hand poses before they are rounded; the hand's root link in the object's CoM frame."""
 
@@ -36,6 +48,10 @@ class Prior(ABC):
     def values(self, layout: Layout, genomes: NDArray[np.float32]) -> Floats:
         """What genomes (n, d) in [-1, 1] stand for, in m and rad; (n, d)."""
         return layout.values(genomes)
+
+    def drawn(self, genes: Floats, genomes: NDArray[np.float32], surface: Surface) -> Drawn:
+        """The candidates of genomes (n, d) whose genes stand for `genes` (n, d)."""
+        return Drawn(np.arange(len(genes)), genes, np.zeros((len(genes), 0)))
 
     @abstractmethod
     def poses(self, genes: Floats, surface: Surface, hand: SceneGripper) -> Poses:

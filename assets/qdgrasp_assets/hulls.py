@@ -1,0 +1,104 @@
+"""The collision shapes of a robot as convex parts, as the simulator takes them; never more than it takes.
+
+The simulator wraps an STL in one hull, and each group of an OBJ in one of its own. Round shapes are given by
+corners on them, so that their hull lies within. What is not known here has no corners.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from qdgrasp_assets.mesh import Floats
+from qdgrasp_assets.objects.solids import geodesic
+from qdgrasp_assets.shapes import numbers, origin
+from qdgrasp_assets.urdf import Urdf
+
+SIDES = 16
+"""Of the prism within a cylinder; the simulator's has 32, with these among its edges."""
+HEADER, TRIANGLE = 84, 50  # bytes of a binary STL
+STARTS = frozenset({"o", "g", "usemtl"})
+"""Words of an OBJ that may begin another group."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One convex part of a link."""
+
+    link: str
+    corners: Floats
+    """(v, 3) [m], link frame: it is their hull."""
+
+
+def convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Part]:
+    """The convex parts of a robot's links; `files` holds its meshes by the names that it uses."""
+    for link in robot.element.findall("link"):
+        for collision in link.findall("collision"):
+            geometry = collision.find("geometry")
+            if geometry is None or not len(geometry) or geometry[0].tag not in FORMS:
+                continue
+            frame = origin(collision.find("origin"))
+            for corners in FORMS[geometry[0].tag](geometry[0], files):
+                yield Part(link.get("name", ""), corners @ frame[:3, :3].T + frame[:3, 3])
+
+
+def groups(obj: str) -> Iterator[Floats]:
+    """The corners (v, 3) of each group of an OBJ file that has triangles."""
+    vertices: list[list[float]] = []
+    used: list[set[int]] = [set()]
+    for line in obj.splitlines():
+        word, *values = line.split() or [""]
+        if word == "v":
+            vertices.append([float(value) for value in values[:3]])
+        elif word == "f":
+            named = (int(value.split("/")[0]) for value in values)
+            used[-1].update(number - 1 if number > 0 else len(vertices) + number for number in named)
+        elif word in STARTS:
+            used.append(set())
+    for group in used:
+        if group:
+            yield np.array(vertices)[sorted(group)]
+
+
+def _stl(content: bytes) -> Iterator[Floats]:
+    """The corners of all triangles of an STL file, as one part."""
+    if (len(content) - HEADER) % TRIANGLE == 0:
+        triangles = np.frombuffer(content, np.uint8, offset=HEADER).reshape(-1, TRIANGLE)
+        corners = np.ascontiguousarray(triangles[:, 12:48]).view("<f4").reshape(-1, 3)
+        yield np.unique(corners.astype(np.float64), axis=0)
+
+
+def _obj(content: bytes) -> Iterator[Floats]:
+    yield from groups(content.decode("utf-8", "replace"))
+
+
+READERS = {".stl": _stl, ".obj": _obj}
+
+
+def _mesh(element: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
+    name = element.get("filename", "")
+    reader = READERS.get(PurePosixPath(name).suffix.lower())
+    for corners in reader(files[name]) if reader else ():
+        yield corners * numbers(element, "scale", "1 1 1")
+
+
+def _box(element: ET.Element, _: Mapping[str, bytes]) -> Iterator[Floats]:
+    yield np.array(list(product((-0.5, 0.5), repeat=3))) * numbers(element, "size", "0 0 0")
+
+
+def _cylinder(element: ET.Element, _: Mapping[str, bytes]) -> Iterator[Floats]:
+    radius, length = float(element.get("radius", 0)), float(element.get("length", 0))
+    angles = np.arange(SIDES) * (2 * np.pi / SIDES)
+    ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(SIDES, length / 2)], axis=1)
+    yield np.concatenate([ring, ring * (1.0, 1.0, -1.0)])
+
+
+def _sphere(element: ET.Element, _: Mapping[str, bytes]) -> Iterator[Floats]:
+    yield geodesic(float(element.get("radius", 0)), 3).vertices
+
+
+FORMS = {"mesh": _mesh, "box": _box, "cylinder": _cylinder, "sphere": _sphere}
+"""The geometries of URDF."""

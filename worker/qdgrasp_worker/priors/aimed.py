@@ -1,0 +1,92 @@
+"""aimed: the hand is put into a cell, and looks at the object from there.
+
+Where a hand stands is what its pose is kept by, so that a search may choose the place and leave the rest to
+geometry. A genome names a target, whose cell of 1 cm the hand stands in, a contact point and a roll to take,
+and how many candidates are drawn. A candidate's position is uniform in the cell; its contact point is the
+surface point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. Distance and direction
+follow: candidates out of the stand-off are dead ends. Which of the others is simulated, the screen says.
+
+What is drawn depends on the genome's bytes alone.
+"""
+
+import hashlib
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from qdgrasp_assets import genes as known
+from qdgrasp_assets.rotation import Floats, dot
+from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_worker.exits import cross
+from qdgrasp_worker.priors.cone import looking
+from qdgrasp_worker.priors.prior import Drawn, Poses, Prior
+from qdgrasp_worker.surface import Surface
+
+PER_METRE = 100
+"""Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm."""
+POINT_SIGMA = 0.007
+"""How far a tightly drawn contact point is from the hint, along each axis [m]."""
+ROLL_SIGMA = 0.15  # rad
+TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES, WEIGHTS = slice(0, 3), slice(3, 6), 6, 7, 8, slice(9, 15)
+"""The places of the prior's own genes."""
+
+
+class Aimed(Prior):
+    """A prior of which a genome stands for several candidates."""
+
+    name = known.AIMED
+
+    def drawn(self, genes: Floats, genomes: NDArray[np.float32], surface: Surface) -> Drawn:
+        """Candidates, as genes whose target is the hand's position, and whose hints are exact."""
+        asked = np.clip(np.nan_to_num(genes[:, CANDIDATES]), 1.0, known.MOST_CANDIDATES)
+        counts = np.rint(asked).astype(np.int64)
+        rows = np.repeat(np.arange(len(genes)), counts)
+        candidates = genes[rows]
+        starts = np.cumsum(counts) - counts
+        for genome, start, count in zip(genomes, starts.tolist(), counts.tolist(), strict=True):
+            vary(candidates[start : start + count], generator(genome), surface)
+        return Drawn(rows, candidates, genes[:, WEIGHTS])
+
+    def poses(self, genes: Floats, surface: Surface, hand: SceneGripper) -> Poses:
+        """The poses that candidates (m, 15) stand for; dead ends are zeros."""
+        positions, nearest = genes[:, TARGET], surface.nearest(genes[:, HINT])
+        points, normals = surface.points[nearest], surface.normals[nearest]
+        offsets = positions - points
+        distances = np.sqrt(dot(offsets, offsets))
+        low, high = hand.standoff
+        stood_off = distances - hand.palm_offset
+        found = (distances > 0.0) & (stood_off >= low) & (stood_off <= high) | np.isnan(distances)
+        outward = np.where(found[:, None], offsets / distances[:, None], normals)
+        aside = cross(normals, outward)
+        nu = np.arctan2(np.sqrt(dot(aside, aside)), dot(normals, outward))
+        quaternions = looking(-outward, genes[:, OMEGA], hand)
+        return Poses(
+            np.where(found[:, None], positions, 0.0),
+            np.where(found[:, None], quaternions, 0.0),
+            np.where(found[:, None], points, 0.0),
+            np.where(found, nu, 0.0),
+            ~found,
+        )
+
+
+def vary(genes: Floats, random: Generator, surface: Surface) -> None:
+    """Draw position, contact point and roll of the candidates (k, g) of one genome, in place."""
+    k = len(genes)
+    cells = np.rint(genes[:, TARGET] * PER_METRE)
+    genes[:, TARGET] = (cells - 0.5 + random.random((k, 3))) / PER_METRE
+    genes[:, HINT] += random.normal(0.0, POINT_SIGMA, (k, 3))
+    genes[:, OMEGA] += random.normal(0.0, ROLL_SIGMA, k)
+    is_loose = random.random(k) < genes[:, LOOSENESS]
+    anywhere = surface.points[random.integers(len(surface.points), size=k)]
+    genes[:, HINT] = np.where(is_loose[:, None], anywhere, genes[:, HINT])
+    genes[:, OMEGA] = np.where(is_loose, random.uniform(0.0, 2.0 * np.pi, k), genes[:, OMEGA])
+
+
+def generator(genome: NDArray[np.float32]) -> Generator:
+    """The generator that a genome's bytes stand for."""
+    digest = hashlib.sha256(genome.astype("<f4").tobytes()).digest()
+    return np.random.default_rng(np.frombuffer(digest, dtype="<u4").tolist())
+
+
+AIMED = Aimed()

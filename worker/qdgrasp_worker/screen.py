@@ -1,0 +1,95 @@
+"""The screen: which pose of each genome is simulated, as far as that is known without the simulator."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_worker.grasp import Grasps
+from qdgrasp_worker.overlap import OverlapFilter
+from qdgrasp_worker.ranking import Ranking, scores
+from qdgrasp_worker.solid import Solid
+from qdgrasp_worker.swath import Closing, Swaths
+
+
+@dataclass(frozen=True)
+class Shortlist:
+    """The candidates of one genome, by their places in the batch."""
+
+    candidates: list[int]
+    """Those that are poses, as they were drawn; empty: a dead end."""
+    ranked: list[int]
+    """Those of them that do not surely overlap, in the order in which they are tried."""
+
+
+class Screen:
+    """What is known of a scene's poses before they are simulated.
+
+    Parameters
+    ----------
+    closing
+        How the hand closes on nothing.
+    follows_free_joints
+        Whether the test for overlap has the free joints where the grasp has them, or open.
+    filters
+        Whether poses that surely overlap are left out; it changes no result.
+    """
+
+    def __init__(
+        self, scene: Scene, closing: Closing, *, follows_free_joints: bool, filters: bool = True
+    ) -> None:
+        self._scene = scene
+        self._closing = closing
+        self._follows = follows_free_joints
+        self._filters = filters
+        self._solid = Solid(scene)
+
+    def __call__(
+        self, grasps: Grasps, trials: NDArray[np.uint16], wanted: NDArray[np.bool_]
+    ) -> tuple[list[Shortlist], NDArray[np.float32]]:
+        """The shortlists of a batch, one for each genome, and the features (poses, f) of what is ranked.
+
+        Parameters
+        ----------
+        trials
+            (n,): beyond 0 a genome's only pose is disturbed and not filtered; of several one is chosen first.
+        wanted
+            (n,): the genomes that are looked at; the others have empty lists.
+        """
+        is_pose = ~grasps.dead_ends & wanted[grasps.rows]
+        (poses,) = np.nonzero(is_pose)
+        is_choice = np.bincount(grasps.rows[poses], minlength=len(trials)) > 1
+        (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.rows])
+        left = np.setdiff1d(poses, self._overlap(grasps, nominal)) if self._filters else poses
+        features, order = self._rank(grasps, left)
+        candidates, ranked = by_row(grasps, poses), by_row(grasps, order)
+        return [Shortlist(*lists) for lists in zip(candidates, ranked, strict=True)], features
+
+    def _rank(self, grasps: Grasps, left: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        """The features (poses, f), and `left` with the best of each genome first."""
+        features = np.zeros((len(grasps), grasps.weights.shape[1]), dtype=np.float32)
+        if not features.shape[1]:
+            return features, left
+        features[left] = self._ranking.features(grasps, left)
+        rows = grasps.rows[left]
+        best_first = np.lexsort([-scores(features[left], grasps.weights[rows]), rows])
+        return features, left[best_first]
+
+    @cached_property
+    def _overlap(self) -> OverlapFilter:
+        return OverlapFilter(self._scene.gripper, self._solid, follows_free_joints=self._follows)
+
+    @cached_property
+    def _ranking(self) -> Ranking:
+        gripper = self._scene.gripper
+        return Ranking(gripper, self._solid, Swaths(gripper, self._closing))
+
+
+def by_row(grasps: Grasps, places: NDArray[np.intp]) -> list[list[int]]:
+    """`places` in a batch, genome by genome."""
+    lists: list[list[int]] = [[] for _ in range(len(grasps.weights))]
+    for row, place in zip(grasps.rows[places].tolist(), places.tolist(), strict=True):
+        lists[row].append(place)
+    return lists

@@ -1,0 +1,78 @@
+"""Voxels: a box of small cubes, each with a level, looked up for many points at once."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.rotation import Floats
+from qdgrasp_worker.convex import Hull
+
+Singles = NDArray[np.float32]
+
+RIM = 1
+"""Cubes around the box that stay empty: whatever is outside is looked up in them."""
+LEVEL = 1e-9
+"""The z of a normal below which a plane is taken for upright."""
+
+
+class Voxels:
+    """Levels from 0, of cubes in a box.
+
+    Parameters
+    ----------
+    low, high
+        The corners (3,) of the box [m].
+    pitch
+        The side of a cube [m].
+    """
+
+    def __init__(self, low: Floats, high: Floats, pitch: float) -> None:
+        self.pitch = pitch
+        self._low = low - RIM * pitch
+        counts = np.ceil((high - low) / pitch).astype(np.int64) + 2 * RIM
+        self.levels: NDArray[np.uint8] = np.zeros(counts, dtype=np.uint8)
+        self._origin = self._low.astype(np.float32)
+        self._last = (counts - 1).astype(np.float32)
+
+    def mark(self, hull: Hull, level: int) -> None:
+        """Raise all cubes whose centre is in `hull` to `level` at least.
+
+        A convex body meets a column of cubes in one interval, so that planes are compared by columns.
+        """
+        first = np.floor((hull.low - self._low) / self.pitch).astype(np.int64).clip(RIM)
+        last = np.ceil((hull.high - self._low) / self.pitch).astype(np.int64)
+        last = np.minimum(last, np.array(self.levels.shape) - RIM)
+        if (last <= first).any():
+            return
+        x, y, z = (self._low[i] + (np.arange(first[i], last[i]) + 0.5) * self.pitch for i in range(3))
+        bottom, top = interval(hull.planes, x[:, None], y[None, :])
+        inside = (z >= bottom[..., None]) & (z <= top[..., None])
+        region = self.levels[first[0] : last[0], first[1] : last[1], first[2] : last[2]]
+        np.maximum(region, inside * np.uint8(level), out=region)
+
+    def at(self, x: Singles, y: Singles, z: Singles) -> NDArray[np.uint8]:
+        """The levels at points (...) [m]; 0 outside the box."""
+        flat = np.zeros(x.shape, dtype=np.int32)
+        for axis, values in enumerate((x, y, z)):
+            place = (values - self._origin[axis]) * np.float32(1.0 / self.pitch)
+            flat *= np.int32(self.levels.shape[axis])
+            flat += np.clip(place, np.float32(0.0), self._last[axis]).astype(np.int32)
+        found: NDArray[np.uint8] = self.levels.ravel()[flat]
+        return found
+
+
+def interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Where columns at `x` (a, 1) and `y` (1, b) enter and leave a hull: (a, b) [m].
+
+    A column that misses it leaves below where it enters.
+    """
+    shape = np.broadcast_shapes(x.shape, y.shape)
+    bottom, top = np.full(shape, -np.inf), np.full(shape, np.inf)
+    for a, b, c, offset in planes:
+        height = a * x + b * y + offset
+        if c > LEVEL:
+            np.minimum(top, height / -c, out=top)
+        elif c < -LEVEL:
+            np.maximum(bottom, height / -c, out=bottom)
+        else:
+            bottom[height > 0.0] = np.inf
+    return bottom, top
