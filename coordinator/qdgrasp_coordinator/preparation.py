@@ -25,7 +25,8 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         A key, value or name that cannot be, or not with this method; what can is named.
     """
     chosen = method(run_spec(values, where).method)
-    whole = {"overlaps": chosen.overlaps, "population": chosen.population, **values}
+    usual = {name: getattr(chosen, name) for name in ("overlaps", "population", "generations_in_flight")}
+    whole = usual | values
     whole |= {name: located(values[name]) for name in ("gripper", "object")}
     spec = run_spec(whole, where)
     check(spec)

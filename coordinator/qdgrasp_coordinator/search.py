@@ -9,7 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from qdgrasp_assets import genes
 from qdgrasp_coordinator.searches import cma_mae, given
+from qdgrasp_coordinator.searches.aimed import Aimed
 from qdgrasp_coordinator.searches.map_elites import MapElites, select_successes, select_uniform
 from qdgrasp_coordinator.searches.random import RandomSearch
 from qdgrasp_coordinator.space import Space
@@ -57,6 +59,8 @@ class Method:
     population: int
     """Genomes in a generation unless the spec says otherwise."""
     summary: str
+    generations_in_flight: int = 1
+    """Generations asked before the first is told unless the spec says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ PRIORS = {
     "approach": Named("approach_", "at most 45 deg from the surface's normal"),
     "antipodal": Named("antipodal_", "two fingers on opposite points"),
     "spherical": Named("", "without a prior"),
+    genes.AIMED: Named("", "into a cell"),
 }
 
 
@@ -122,9 +127,18 @@ FAMILIES = (
     ),
 )
 """The methods that Huber et al. 2024, section IV, compares; those without a prefix have no prior."""
-METHODS = {
-    entry.name: entry for entry in (family.method(prior) for family in FAMILIES for prior in family.priors)
-}
+AIMED = Method(
+    "aimed",
+    genes.AIMED,
+    Aimed,
+    lambda _: None,
+    "redraw",
+    50,
+    "Empty cells beside successes, with a neighbour's grasp; this project's own, not the paper's.",
+    generations_in_flight=2,
+)
+PAPER = [family.method(prior) for family in FAMILIES for prior in family.priors]
+METHODS = {entry.name: entry for entry in (*PAPER, AIMED)}
 
 
 def _given(spec: RunSpec, space: Space) -> Search:

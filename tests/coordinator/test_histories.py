@@ -10,7 +10,7 @@ from tests.coordinator.simulated import SHAPE, Plan, World, reference
 from tests.coordinator.spaces import plain
 
 from qdgrasp_coordinator import outbox
-from qdgrasp_coordinator.search import METHODS, Search
+from qdgrasp_coordinator.search import PAPER, Method, Search
 from qdgrasp_protocol.spec import RunSpec
 
 TROUBLE: dict[str, dict[str, float]] = {
@@ -109,11 +109,11 @@ def test_without_trouble_every_batch_is_evaluated_once(seed: int) -> None:
     assert [counters[name] for name in ("duplicate", "late", "unknown", "foreign", "requeued")] == [0] * 5
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_the_methods_end_with_the_same_journal_through_all_of_it(name: str) -> None:
+@pytest.mark.parametrize("entry", PAPER, ids=lambda entry: entry.name)  # `test_aimed` has its own
+def test_the_methods_end_with_the_same_journal_through_all_of_it(entry: Method) -> None:
     def build(population: int, seed: int) -> Search:
         spec = RunSpec(gripper="hand", object="thing", population=population, seed=seed)
-        return METHODS[name].build(spec, plain(SHAPE.genes))
+        return entry.build(spec, plain(SHAPE.genes))
 
     for seed in range(5):
         plan = Plan(

@@ -16,6 +16,7 @@ ASKED = {"gripper": "panda", "object": "tennis_ball"}
 def test_the_spec_is_completed_with_what_the_method_has(entry) -> None:
     spec = full_spec({**ASKED, "method": entry.name})
     assert (spec.population, spec.overlaps) == (entry.population, entry.overlaps)
+    assert spec.generations_in_flight == entry.generations_in_flight
 
 
 def test_what_is_asked_for_stays() -> None:

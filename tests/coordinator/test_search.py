@@ -4,12 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.coordinator import make_believe
 from tests.coordinator.spaces import plain
 
 from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.search import METHODS, Method, Search, method
+from qdgrasp_coordinator.search import AIMED, METHODS, PAPER, Method, Search, method
 from qdgrasp_coordinator.searches.given import Given
+from qdgrasp_coordinator.space import Space
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
@@ -19,7 +21,7 @@ GENES = 7
 SHAPE = Shape(genes=GENES, joints=2)
 GENERATIONS = 6
 POPULATION = 60
-OVER_THE_CUBE = [entry for entry in METHODS.values() if not entry.name.endswith("cma_mae")]
+OVER_THE_CUBE = [entry for entry in PAPER if not entry.name.endswith("cma_mae")]
 """The methods that start with genomes drawn uniformly."""
 
 
@@ -27,24 +29,34 @@ def spec(seed: int = 0) -> RunSpec:
     return RunSpec(gripper="hand", object="thing", seed=seed, population=POPULATION)
 
 
-def evaluated(generation: int, genomes: np.ndarray) -> Rows:
+def space_of(entry: Method) -> Space:
+    """A space of its genomes, whose meaning matters to the search that aims alone."""
+    return make_believe.space(entry.prior) if entry is AIMED else plain(GENES)
+
+
+def shape_of(entry: Method) -> Shape:
+    return make_believe.shape(space_of(entry)) if entry is AIMED else SHAPE
+
+
+def evaluated(shape: Shape, generation: int, genomes: np.ndarray) -> Rows:
     """Rows with results that are a function of the genomes: about a third each overlap, fail, succeed."""
-    rows = SHAPE.empty(len(genomes))
+    rows = shape.empty(len(genomes))
     rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
     share = (genomes[:, 3] + 1) / 2
     rows["outcome"] = np.searchsorted([0, 0, 0.3, 0.5, 0.7, 0.8, 0.9], share, side="right")
     rows["fitness"] = np.maximum(rows["outcome"].astype(float) - Outcome.DROPPED, 0)
-    rows["descriptor"] = genomes[:, :3] * np.float32(0.2)
+    rows["descriptor"][:, :3] = genomes[:, :3] * np.float32(0.2)
+    rows["base_to_object"][:, 6] = 1
     return rows
 
 
-def asked(search: Search) -> list[np.ndarray]:
+def asked(search: Search, shape: Shape) -> list[np.ndarray]:
     """What a search asks in its first generations."""
     all_asked = []
     for generation in range(GENERATIONS):
         genomes = search.ask(generation)
         all_asked.append(genomes.copy())
-        search.tell(generation, evaluated(generation, genomes))
+        search.tell(generation, evaluated(shape, generation, genomes))
     return all_asked
 
 
@@ -52,68 +64,65 @@ def asked(search: Search) -> list[np.ndarray]:
 class TestEverySearch:
     @pytest.fixture
     def build(self, entry: Method) -> Callable[..., Search]:
-        return lambda seed=0: entry.build(spec(seed), plain(GENES))
+        return lambda seed=0: entry.build(spec(seed), space_of(entry))
 
-    def test_a_generation_has_the_population_in_float32_within_the_cube(self, build) -> None:
-        for genomes in asked(build()):
-            assert genomes.shape == (POPULATION, GENES)
+    @pytest.fixture
+    def shape(self, entry: Method) -> Shape:
+        return shape_of(entry)
+
+    def test_a_generation_has_the_population_in_float32_within_the_cube(self, build, shape) -> None:
+        for genomes in asked(build(), shape):
+            assert genomes.shape == (POPULATION, shape.genes)
             assert genomes.dtype == np.float32
             assert np.abs(genomes).max() <= 1
 
-    def test_the_same_seed_asks_the_same(self, build) -> None:
-        assert all(map(np.array_equal, asked(build()), asked(build())))
+    def test_the_same_seed_asks_the_same(self, build, shape) -> None:
+        assert all(map(np.array_equal, asked(build(), shape), asked(build(), shape)))
 
-    def test_another_seed_asks_something_else_in_every_generation(self, build) -> None:
-        assert not any(map(np.array_equal, asked(build(0)), asked(build(1))))
+    def test_another_seed_asks_something_else_in_every_generation(self, build, shape) -> None:
+        assert not any(map(np.array_equal, asked(build(0), shape), asked(build(1), shape)))
 
-    def test_no_generation_repeats_another(self, build) -> None:
-        genomes = [one.tobytes() for one in asked(build())]
+    def test_no_generation_repeats_another(self, build, shape) -> None:
+        genomes = [one.tobytes() for one in asked(build(), shape)]
         assert len(set(genomes)) == GENERATIONS
 
-    def test_it_keeps_no_hold_on_the_rows_it_is_told(self, build) -> None:
+    def test_it_keeps_no_hold_on_the_rows_it_is_told(self, build, shape) -> None:
         one, other = build(), build()
         for generation in range(3):
-            rows = evaluated(generation, one.ask(generation))
-            other.tell(generation, evaluated(generation, other.ask(generation)))
+            rows = evaluated(shape, generation, one.ask(generation))
+            other.tell(generation, evaluated(shape, generation, other.ask(generation)))
             one.tell(generation, rows)
             rows[:] = np.zeros((), dtype=rows.dtype)
         assert np.array_equal(one.ask(3), other.ask(3))
 
-    def test_the_order_of_arrival_changes_nothing(self, build, entry: Method) -> None:
+    def test_the_order_of_arrival_changes_nothing(self, build, shape, entry: Method) -> None:
         journals = []
         for order in (np.sort, lambda values: values[::-1], np.random.default_rng(0).permutation):
-            pipeline = Pipeline(build(), SHAPE, 5 * POPULATION + 13, entry.overlaps)
-            journals.append(b"".join(_journal(pipeline, order)))
+            pipeline = Pipeline(build(), shape, 5 * POPULATION + 13, entry.overlaps)
+            journals.append(b"".join(_journal(pipeline, shape, order)))
         assert journals[0] == journals[1] == journals[2]
 
     @pytest.mark.parametrize("recorded", [1, POPULATION, 3 * POPULATION + 7])
     def test_a_recorded_beginning_goes_on_to_the_same_journal(
-        self, build, entry: Method, recorded: int
+        self, build, shape, entry: Method, recorded: int
     ) -> None:
         budget = 5 * POPULATION + 13
-        whole = b"".join(_journal(Pipeline(build(), SHAPE, budget, entry.overlaps), np.sort))
-        rows = np.frombuffer(whole, dtype=SHAPE.dtype)
-        pipeline = Pipeline(build(), SHAPE, budget, entry.overlaps)
+        whole = b"".join(_journal(Pipeline(build(), shape, budget, entry.overlaps), shape, np.sort))
+        rows = np.frombuffer(whole, dtype=shape.dtype)
+        pipeline = Pipeline(build(), shape, budget, entry.overlaps)
         pipeline.replay(rows[:recorded])
-        assert b"".join(_journal(pipeline, np.sort)) == rows[recorded:].tobytes()
-
-    def test_its_line_in_the_table_is_complete(self, entry: Method) -> None:
-        assert entry.name.startswith(f"{entry.prior}_") or entry.prior == "spherical"
-        assert "Huber" in entry.summary
-        assert entry.overlaps == "count"
-        assert entry.population == (540 if entry.name.endswith("cma_mae") else 500)
-        entry.check(RunSpec(gripper="hand", object="thing", method=entry.name, population=entry.population))
+        assert b"".join(_journal(pipeline, shape, np.sort)) == rows[recorded:].tobytes()
 
 
-def _journal(pipeline: Pipeline, order: Callable[[np.ndarray], np.ndarray]):
+def _journal(pipeline: Pipeline, shape: Shape, order: Callable[[np.ndarray], np.ndarray]):
     while (generation := pipeline.ask()) is not None:
-        rows = _rows(generation)
+        rows = _rows(shape, generation)
         for place in order(np.arange(len(rows))):
             yield pipeline.settle(rows[place : place + 1]).rows.tobytes()
 
 
-def _rows(generation: Generation) -> Rows:
-    rows = evaluated(generation.number, generation.genomes)
+def _rows(shape: Shape, generation: Generation) -> Rows:
+    rows = evaluated(shape, generation.number, generation.genomes)
     rows["index"] = generation.indices
     return rows
 
@@ -125,10 +134,20 @@ def test_it_starts_uniform_over_the_cube(entry: Method) -> None:
     assert np.abs(many.std(axis=0) - 1 / np.sqrt(3)).max() < 0.03
 
 
+@pytest.mark.parametrize("entry", PAPER, ids=lambda entry: entry.name)
+def test_the_line_of_a_method_of_the_paper_is_complete(entry: Method) -> None:
+    assert entry.name.startswith(f"{entry.prior}_") or entry.prior == "spherical"
+    assert "Huber" in entry.summary
+    assert (entry.overlaps, entry.generations_in_flight) == ("count", 1)
+    assert entry.population == (540 if entry.name.endswith("cma_mae") else 500)
+    entry.check(RunSpec(gripper="hand", object="thing", method=entry.name, population=entry.population))
+
+
 def test_the_methods_of_the_paper_are_there() -> None:
     priors = ("contact_", "approach_", "antipodal_")
     everywhere = {f"{prior}{name}" for prior in (*priors, "") for name in ("me_rand", "me_scs", "cma_mae")}
-    assert set(METHODS) == everywhere | {f"{prior}rand" for prior in priors}
+    assert {entry.name for entry in PAPER} == everywhere | {f"{prior}rand" for prior in priors}
+    assert set(METHODS) == {entry.name for entry in PAPER} | {AIMED.name}
     assert all(name == entry.name for name, entry in METHODS.items())
 
 
@@ -151,7 +170,7 @@ def test_a_pipeline_of_given_poses_ends_with_the_last_one() -> None:
     pipeline = Pipeline(Given(poses, population=10), SHAPE, 25, "count", generations_in_flight=2)
     rows = []
     while (generation := pipeline.ask()) is not None:
-        rows.append(pipeline.settle(_rows(generation)).rows)
+        rows.append(pipeline.settle(_rows(SHAPE, generation)).rows)
     assert np.array_equal(np.concatenate(rows)["genome"], poses)
     assert pipeline.finished == "the budget of 25 evaluations is spent"
 
@@ -160,5 +179,5 @@ def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget()
     pipeline = Pipeline(Given(np.zeros((5, 7), np.float32), population=10), SHAPE, 6, "count")
     generation = pipeline.ask()
     assert generation is not None
-    assert len(pipeline.settle(_rows(generation))) == 5
+    assert len(pipeline.settle(_rows(SHAPE, generation))) == 5
     assert pipeline.finished == "the search has nothing left to ask"

@@ -13,10 +13,17 @@ from qdgrasp_coordinator.search import METHODS, PRIORS
 Dashes = Literal["-"] | tuple[float, Sequence[float]]
 INK, FAINT, RULE, CONTEXT = "#22262b", "#69717a", "#d9dde1", "#c9ced3"
 """Text, text beside it, rules, and curves that only give context."""
-HUES = {"contact": "#0072b2", "approach": "#d55e00", "antipodal": "#009e73", "spherical": "#4d4d4d"}
+HUES = {
+    "contact": "#0072b2",
+    "approach": "#d55e00",
+    "antipodal": "#009e73",
+    "aimed": "#cc79a7",
+    "spherical": "#4d4d4d",
+}
 WORDS = {"spherical": "no prior"}
 """What a prior is called in a figure, where not by its name."""
 FAMILIES: dict[str, Dashes] = {
+    "aimed": "-",
     "me_scs": "-",
     "cma_mae": (0, (1.1, 1.3)),
     "me_rand": (0, (5, 1.6, 1.1, 1.6)),
@@ -25,7 +32,7 @@ FAMILIES: dict[str, Dashes] = {
 """Line styles: the searches are drawn through, dotted or dash-dotted, plain sampling is dashed."""
 PALEST = 0.65
 """How much white is in the palest of a method's variants."""
-ORDER = ("contact", "approach", "antipodal", "spherical")
+ORDER = ("contact", "approach", "antipodal", "aimed", "spherical")
 
 
 Arm = tuple[str, str]

@@ -43,7 +43,7 @@ def run(
     ] = None,
     mutation_probability: Annotated[float | None, typer.Option(help="Of each gene; default 0.3.")] = None,
     generations_in_flight: Annotated[
-        int | None, typer.Option(help="Generations asked before the first is told; default 1.")
+        int | None, typer.Option(help="Generations asked before the first is told; default: the method's.")
     ] = None,
     surface_seed: Annotated[int | None, typer.Option(help="Seed of the surface points; default 0.")] = None,
     workers: options.Workers = None,
