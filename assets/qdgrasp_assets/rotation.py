@@ -49,6 +49,20 @@ def turned(first: Floats, second: Floats, angles: Floats) -> tuple[Floats, Float
     return cosine * first + sine * second, cosine * second - sine * first
 
 
+def rolls(asides: Floats, directions: Floats) -> Floats:
+    """The roll (n,) [rad], in [0, 2 pi), of hands that look along unit `directions` (n, 3).
+
+    Parameters
+    ----------
+    asides
+        (n, 3): where each hand's zero of the roll points, which is the first tangent of its approach axis; it
+        need not be at right angles to the direction.
+    """
+    first, second = tangents(directions)
+    angles: Floats = np.arctan2(dot(asides, second), dot(asides, first)) % (2 * np.pi)
+    return angles
+
+
 def multiply(a: Floats, b: Floats) -> Floats:
     """The rotations (n, 4) that turn by `b` first and then by `a`."""
     ax, ay, az, aw = (a[..., i] for i in range(4))

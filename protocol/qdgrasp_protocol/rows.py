@@ -44,7 +44,7 @@ RESULT = (
         "descriptor",
         "<f4",
         "descriptors",
-        "behaviour descriptor: the hand's commanded position [m], CoM frame",
+        "behaviour descriptor: the hand's commanded position [m], CoM frame; then the prior's features of it",
     ),
     Column(
         "base_to_object", "<f4", "7", "the hand's root link in the object's CoM frame: x y z [m], qx qy qz qw"

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tests.worker.aiming import CANDIDATES, LOOSENESS, WEIGHTS, encoded, facing
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy, pack_scene
@@ -72,23 +73,20 @@ def spherical(scene: Scene, genomes: NDArray[np.float32]) -> NDArray[np.float32]
 
 
 def aimed(scene: Scene, genomes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Genomes of the prior aimed: at cells beside the surface points of genomes of the prior approach."""
+    """Genomes of the prior aimed: at cells beside the poses of genomes of the prior approach."""
     grasps = Decoder(scene, "approach", Surface(scene))(genomes)
-    genes = layout(scene, "aimed").genes
-    random = np.random.default_rng(4)
-    low, high = [gene.low for gene in genes], [gene.high for gene in genes]
-    values = random.uniform(low, high, (len(genomes), len(genes)))
-    values[:, :3] = grasps.positions + random.integers(0, 2, (len(genomes), 3)) * 0.01
+    random, n = np.random.default_rng(4), len(genomes)
+    values = facing(scene, n, candidates=1)
+    values[:, :3] = grasps.positions + random.integers(0, 2, (n, 3)) * 0.01
     values[:, 3:6] = grasps.surface_points
-    values[:, 7] = random.choice([0.0, 0.5, 1.0], len(genomes), p=[0.8, 0.1, 0.1])
-    values[:, 8] = random.choice([1.0, 4.0, 32.0], len(genomes))
-    values[::2, 9:15] = 0.0
-    return encoded(genes, values)
+    values[:, LOOSENESS] = random.choice([0.0, 0.5, 1.0], n, p=[0.8, 0.1, 0.1])
+    values[:, CANDIDATES] = random.choice([1.0, 4.0, 32.0], n)
+    values[::2, WEIGHTS] = random.uniform(-8.0, 8.0, (len(values[::2]), 6))
+    return encoded(scene, values)
 
 
-def encoded(genes, values: NDArray[np.float64]) -> NDArray[np.float32]:
-    low, high = np.array([gene.low for gene in genes]), np.array([gene.high for gene in genes])
-    return ((values - low) / (high - low) * 2 - 1).astype(np.float32)
+RECAST = {"spherical": spherical, "aimed": aimed}
+"""The priors whose genomes are made from those of approach."""
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -112,7 +110,7 @@ def genomes(case, scene, draw):
         return draw(320, 4, seed=3)
     many = 96 if case[0] == "aimed" else 32
     near = draw(320, len(layout(scene, "approach")), seed=3, near=many)
-    return {"spherical": spherical, "aimed": aimed}.get(case[0], lambda _, same: same)(scene, near)
+    return RECAST[case[0]](scene, near) if case[0] in RECAST else near
 
 
 @pytest.fixture(scope="module")

@@ -169,13 +169,13 @@ def fill(rows: Rows, grasps: Grasps, features: NDArray[np.float32], findings: di
         return
     places, found = list(findings), [finding.verdict for finding in findings.values()]
     taken = [finding.place for finding in findings.values()]
-    is_simulated = np.array([[verdict.outcome.is_simulated] for verdict in found], dtype=np.float32)
+    is_simulated = np.array([[verdict.outcome.is_simulated] for verdict in found])
     positions = grasps.positions[taken]
     columns = {
         "outcome": [verdict.outcome for verdict in found],
         "fitness": [verdict.fitness for verdict in found],
         "proposals": [finding.proposals for finding in findings.values()],
-        "descriptor": np.concatenate([positions, features[taken] * is_simulated], axis=1),
+        "descriptor": np.concatenate([positions, np.where(is_simulated, features[taken], 0.0)], axis=1),
         "base_to_object": np.concatenate([positions, grasps.quaternions[taken]], axis=1),
         "joints": [verdict.joints for verdict in found],
         "surface_point": grasps.surface_points[taken],

@@ -65,14 +65,11 @@ def interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
     A column that misses it leaves below where it enters.
     """
-    shape = np.broadcast_shapes(x.shape, y.shape)
-    bottom, top = np.full(shape, -np.inf), np.full(shape, np.inf)
-    for a, b, c, offset in planes:
-        height = a * x + b * y + offset
-        if c > LEVEL:
-            np.minimum(top, height / -c, out=top)
-        elif c < -LEVEL:
-            np.maximum(bottom, height / -c, out=bottom)
-        else:
-            bottom[height > 0.0] = np.inf
+    slopes = planes[:, 2]
+    a, b, c, offsets = (column[:, None, None] for column in planes.T)
+    heights = a * x + b * y + offsets
+    up, down = slopes > LEVEL, slopes < -LEVEL
+    top: Floats = np.min(heights[up] / -c[up], axis=0, initial=np.inf)
+    bottom: Floats = np.max(heights[down] / -c[down], axis=0, initial=-np.inf)
+    bottom[(heights[~(up | down)] > 0.0).any(axis=0)] = np.inf
     return bottom, top

@@ -28,7 +28,7 @@ def growth(rows: Rows, overlaps: Overlaps = "count") -> Growth:
     success = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
     places = np.flatnonzero(success)
     new = np.zeros(len(rows), dtype=bool)
-    new[places] = first_times(keys(cells(rows["descriptor"][places])))
+    new[places] = first_times(keys(cells(rows["descriptor"][places, :3])))
     return Growth(*(np.cumsum(np.r_[0, steps]) for steps in (counted(rows, overlaps), success, new)))
 
 

@@ -82,7 +82,7 @@ def view_of_cells(scene: Scene, best: Rows, azimuth: float, pixels: int, hues: F
 
     The cubes have the colours `hues` (n, 3) RGB; None: those of their fitness.
     """
-    places = cells(best["descriptor"])
+    places = cells(best["descriptor"][:, :3])
     hues = hues_of_fitness(best["fitness"]) if hues is None else hues
     thing = object_mesh(scene)
     image = Image(_camera([thing, _cubes(places)], azimuth, pixels))
@@ -103,7 +103,7 @@ def hues_of_fitness(fitness: NDArray[np.number]) -> Floats:
 def best_in_cells(successes: Rows) -> Rows:
     """The fittest success in each cell, of equals the first."""
     ordered = successes[np.argsort(-successes["fitness"], kind="stable")]
-    _, first = np.unique(keys(cells(ordered["descriptor"])), return_index=True)
+    _, first = np.unique(keys(cells(ordered["descriptor"][:, :3])), return_index=True)
     return ordered[first]
 
 

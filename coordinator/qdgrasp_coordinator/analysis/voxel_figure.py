@@ -49,7 +49,7 @@ class Voxels:
     @property
     def places(self) -> NDArray[np.int64]:
         """(n, 3) [cm]: the cells, CoM frame."""
-        return cells(self.best["descriptor"])
+        return cells(self.best["descriptor"][:, :3])
 
 
 def drawn_method(entries: Sequence[Entry]) -> str | None:

@@ -8,7 +8,7 @@ belongs to a frame that jumps between directions (`rotation.tangents`).
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.rotation import Floats, dot, rotate, tangents, unit
+from qdgrasp_assets.rotation import Floats, rolls, rotate, tangents, unit
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.searches.frontier import Places
 from qdgrasp_protocol.outcome import Outcome
@@ -102,20 +102,6 @@ class Hints:
         }
         for name, values in columns.items():
             self._kept[name][slots] = values
-
-
-def rolls(asides: Floats, directions: Floats) -> Floats:
-    """The roll (n,) [rad], in [0, 2 pi), of hands that look along unit `directions` (n, 3).
-
-    Parameters
-    ----------
-    asides
-        (n, 3): where each hand's zero of the roll points, which is the first tangent of its approach axis; it
-        need not be at right angles to the direction.
-    """
-    first, second = tangents(directions)
-    angles: Floats = np.arctan2(dot(asides, second), dot(asides, first)) % (2 * np.pi)
-    return angles
 
 
 def _ranks(rows: Rows) -> Floats:

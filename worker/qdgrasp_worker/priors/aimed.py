@@ -6,6 +6,9 @@ and how many candidates are drawn. A candidate's position is uniform in the cell
 surface point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. Distance and direction
 follow: candidates out of the stand-off are dead ends. Which of the others is simulated, the screen says.
 
+The roll is about the direction from the target's own position to the hint. It is carried over to those of the
+candidates as a vector, for its zero jumps between directions (`rotation.tangents`).
+
 What is drawn depends on the genome's bytes alone.
 """
 
@@ -16,7 +19,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from qdgrasp_assets import genes as known
-from qdgrasp_assets.rotation import Floats, dot
+from qdgrasp_assets.rotation import Floats, dot, rolls, tangents, turned
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.exits import cross
 from qdgrasp_worker.priors.cone import looking
@@ -42,10 +45,13 @@ class Aimed(Prior):
         asked = np.clip(np.nan_to_num(genes[:, CANDIDATES]), 1.0, known.MOST_CANDIDATES)
         counts = np.rint(asked).astype(np.int64)
         rows = np.repeat(np.arange(len(genes)), counts)
+        asides, _ = turned(*tangents(looks(genes[:, TARGET], genes[:, HINT])), genes[:, OMEGA])
         candidates = genes[rows]
         starts = np.cumsum(counts) - counts
         for genome, start, count in zip(genomes, starts.tolist(), counts.tolist(), strict=True):
             vary(candidates[start : start + count], generator(genome), surface)
+        points = surface.points[surface.nearest(candidates[:, HINT])]
+        candidates[:, OMEGA] += rolls(asides[rows], looks(candidates[:, TARGET], points))
         return Drawn(rows, candidates, genes[:, WEIGHTS])
 
     def poses(self, genes: Floats, surface: Surface, hand: SceneGripper) -> Poses:
@@ -71,16 +77,23 @@ class Aimed(Prior):
 
 
 def vary(genes: Floats, random: Generator, surface: Surface) -> None:
-    """Draw position, contact point and roll of the candidates (k, g) of one genome, in place."""
+    """Draw the candidates (k, g) of one genome in place: position, contact point, roll beside the hint's."""
     k = len(genes)
     cells = np.rint(genes[:, TARGET] * PER_METRE)
     genes[:, TARGET] = (cells - 0.5 + random.random((k, 3))) / PER_METRE
     genes[:, HINT] += random.normal(0.0, POINT_SIGMA, (k, 3))
-    genes[:, OMEGA] += random.normal(0.0, ROLL_SIGMA, k)
+    genes[:, OMEGA] = random.normal(0.0, ROLL_SIGMA, k)
     is_loose = random.random(k) < genes[:, LOOSENESS]
     anywhere = surface.points[random.integers(len(surface.points), size=k)]
     genes[:, HINT] = np.where(is_loose[:, None], anywhere, genes[:, HINT])
     genes[:, OMEGA] = np.where(is_loose, random.uniform(0.0, 2.0 * np.pi, k), genes[:, OMEGA])
+
+
+def looks(positions: Floats, points: Floats) -> Floats:
+    """The unit vectors (n, 3) from positions to points; z where both are the same."""
+    ways = points - positions
+    lengths = np.sqrt(dot(ways, ways))[:, None]
+    return np.where(lengths > 0.0, ways / lengths, np.array([0.0, 0.0, 1.0]))
 
 
 def generator(genome: NDArray[np.float32]) -> Generator:

@@ -1,0 +1,123 @@
+"""Laws of the prior that aims at a cell, and what its candidates depend on."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+from tests.worker.aiming import CANDIDATES, WEIGHTS, encoded, facing
+
+from qdgrasp_worker.decode import Decoder
+from qdgrasp_worker.surface import Surface
+
+N, K = 40, 32
+
+
+def decode(scene, values):
+    return Decoder(scene, "aimed", Surface(scene))(encoded(scene, values))
+
+
+@pytest.fixture(scope="module")
+def values(cube):
+    return facing(cube, N, candidates=K)
+
+
+@pytest.fixture(scope="module")
+def grasps(cube, values):
+    return decode(cube, values)
+
+
+@pytest.fixture(scope="module")
+def poses(grasps):
+    """The places of those that are poses."""
+    return np.flatnonzero(~grasps.dead_ends)
+
+
+def test_a_genome_has_as_many_candidates_as_it_asks_for(cube, values) -> None:
+    some = values[:5].copy()
+    some[:, CANDIDATES] = 1, 2.4, 7.6, 31, 32
+    grasps = decode(cube, some)
+    assert np.bincount(grasps.rows).tolist() == [1, 2, 8, 31, 32]
+    assert (np.diff(grasps.rows) >= 0).all()
+
+
+def test_hands_stand_anywhere_in_the_cell_of_the_target_and_nowhere_else(values, grasps, poses) -> None:
+    offsets = grasps.positions[poses] * 100.0 - np.rint(values[grasps.rows[poses], :3] * 100.0)
+    assert np.abs(offsets).max() <= 0.5 + 1e-4
+    np.testing.assert_allclose(offsets.std(axis=0), 1 / 12**0.5, rtol=0.1)
+
+
+def test_contact_points_are_surface_points_beside_the_hint(cube, values, grasps, poses) -> None:
+    distances, _ = KDTree(cube.surface_points).query(grasps.surface_points[poses])
+    assert distances.max() == 0.0
+    apart = np.linalg.norm(grasps.surface_points[poses] - values[grasps.rows[poses], 3:6], axis=1)
+    assert 0.005 < np.sqrt((apart**2).mean()) < 0.015
+
+
+def test_hands_look_at_their_contact_points_from_within_the_stand_off(cube, grasps, poses) -> None:
+    inward = grasps.surface_points[poses] - grasps.positions[poses].astype(float)
+    distances = np.linalg.norm(inward, axis=1)
+    low, high = cube.gripper.standoff
+    assert distances.min() >= cube.gripper.palm_offset + low - 1e-6
+    assert distances.max() <= cube.gripper.palm_offset + high + 1e-6
+    axes = Rotation.from_quat(grasps.quaternions[poses]).apply(cube.gripper.approach_axis)
+    np.testing.assert_allclose(axes, inward / distances[:, None], atol=5e-6)
+
+
+def test_nu_is_the_angle_between_the_normal_and_the_direction_to_the_hand(cube, grasps, poses) -> None:
+    points, positions = grasps.surface_points[poses].astype(float), grasps.positions[poses].astype(float)
+    normals = cube.surface_normals[KDTree(cube.surface_points).query(points)[1]]
+    outward = positions - points
+    cosines = (outward * normals).sum(axis=1) / np.linalg.norm(outward, axis=1)
+    np.testing.assert_allclose(np.cos(grasps.nu[poses]), cosines, atol=1e-6)
+
+
+def test_candidates_roll_by_a_little_about_the_hint_and_by_anything_when_loose(cube, values) -> None:
+    """Hands straight above one point: their quaternions differ by their rolls, nearly."""
+    for looseness, expected in ((0.0, 0.15), (1.0, None)):
+        some = values[:1].copy().repeat(N, axis=0)
+        some[:, 7], some[:, WEIGHTS] = looseness, np.linspace(-8, 8, N)[:, None]  # other weights, other draws
+        grasps = decode(cube, some)
+        (places,) = np.nonzero(~grasps.dead_ends & (grasps.nu < 0.2))
+        turns = Rotation.from_quat(grasps.quaternions[places])
+        angles = (turns[0].inv() * turns).as_rotvec()[:, 2]
+        assert len(places) > 20
+        if expected:
+            assert angles.std() == pytest.approx(expected, rel=0.35)
+        else:
+            assert angles.std() > 1.2
+
+
+def test_loose_candidates_take_contact_points_from_all_over_the_surface(cube, values) -> None:
+    some = values.copy()
+    some[:, 7] = 1.0
+    grasps = decode(cube, some)
+    tight = decode(cube, values)
+    assert grasps.dead_ends.mean() > 2 * tight.dead_ends.mean()
+    assert len(np.unique(grasps.surface_points, axis=0)) > 100
+
+
+def test_candidates_depend_on_the_bytes_of_their_genome_alone(cube, values, grasps) -> None:
+    genomes = encoded(cube, values)
+    alone = Decoder(cube, "aimed", Surface(cube))(genomes[7:8])
+    mine = grasps.rows == 7
+    np.testing.assert_array_equal(alone.positions, grasps.positions[mine])
+    np.testing.assert_array_equal(alone.quaternions, grasps.quaternions[mine])
+    other = genomes[7:8].copy()
+    other[0, -1] = np.nextafter(other[0, -1], np.float32(1.0))  # the weight of the constant
+    changed = Decoder(cube, "aimed", Surface(cube))(other)
+    assert not (changed.positions == alone.positions).all(axis=1).any()
+
+
+def test_a_target_out_of_reach_has_dead_ends_only(cube, values) -> None:
+    far = values[:3].copy()
+    far[:, :3] = np.array(cube.object_high) + cube.gripper.reach
+    far[:, 3:6] = cube.object_low
+    grasps = decode(cube, far)
+    assert grasps.dead_ends.all()
+    assert not grasps.positions.any()
+
+
+def test_the_weights_are_handed_on(values, cube) -> None:
+    some = values[:2].copy()
+    some[:, WEIGHTS] = [[-8, -4, -2, 2, 4, 8], [0, 0, 0, 0, 0, 0]]
+    np.testing.assert_allclose(decode(cube, some).weights, some[:, WEIGHTS], atol=1e-5)

@@ -1,0 +1,77 @@
+"""Convex hulls, and the voxels that are marked with them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_worker.convex import hulls
+from qdgrasp_worker.voxels import Voxels
+
+CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.02
+
+
+@pytest.fixture(params=range(6))
+def hull(request):
+    random = np.random.default_rng(request.param)
+    return hulls([random.normal(0.0, 0.01, (12, 3))])[0]
+
+
+def centres(voxels):
+    """The centres (n, 3) of all voxels in the order of their levels."""
+    grid = np.indices(voxels.levels.shape).reshape(3, -1).T
+    return voxels._low + (grid + 0.5) * voxels.pitch
+
+
+def test_a_cube_has_six_planes_and_contains_what_is_in_it():
+    [cube] = hulls([CUBE])
+    assert len(cube.planes) == 6
+    points = np.random.default_rng(0).uniform(-0.03, 0.03, (500, 3))
+    np.testing.assert_array_equal(cube.contains(points), (np.abs(points) <= 0.02).all(axis=1))
+
+
+def test_a_part_that_is_flat_or_too_small_is_left_out():
+    assert len(hulls([CUBE * (1, 1, 0), CUBE[:3], CUBE])) == 1
+
+
+def test_a_moved_hull_contains_the_moved_points(hull):
+    frame = np.eye(4)
+    frame[:3, :3] = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
+    frame[:3, 3] = 0.1, -0.2, 0.3
+    points = np.random.default_rng(11).normal(0.0, 0.01, (500, 3))
+    there = points @ frame[:3, :3].T + frame[:3, 3]
+    np.testing.assert_array_equal(hull.moved(frame).contains(there), hull.contains(points))
+
+
+def test_the_voxels_marked_are_those_whose_centre_is_inside(hull):
+    voxels = Voxels(hull.low, hull.high, 0.0013)
+    voxels.mark(hull, 1)
+    inside = hull.contains(centres(voxels))
+    assert inside.sum() > 50
+    np.testing.assert_array_equal(voxels.levels.reshape(-1), inside)
+
+
+def test_a_hull_that_reaches_out_of_the_box_is_cut_at_it(hull):
+    voxels = Voxels(hull.low / 2, hull.high / 2, 0.0013)
+    voxels.mark(hull, 1)
+    rim = np.ones(voxels.levels.shape, dtype=bool)
+    rim[1:-1, 1:-1, 1:-1] = False
+    expected = hull.contains(centres(voxels)) & ~rim.reshape(-1)
+    np.testing.assert_array_equal(voxels.levels.reshape(-1), expected)
+
+
+def test_levels_only_rise(hull):
+    voxels = Voxels(hull.low, hull.high, 0.0013)
+    voxels.mark(hull, 2)
+    voxels.mark(hull.grown(0.01), 1)
+    assert set(np.unique(voxels.levels)) == {0, 1, 2}
+    np.testing.assert_array_equal(voxels.levels.reshape(-1) == 2, hull.contains(centres(voxels)))
+
+
+def test_points_find_the_level_of_their_voxel_and_zero_outside():
+    [cube] = hulls([CUBE])
+    voxels = Voxels(cube.low, cube.high, 0.001)
+    voxels.mark(cube, 3)
+    points = np.random.default_rng(2).uniform(-0.05, 0.05, (4000, 3)).astype(np.float32)
+    points[0] = 1e30, -1e30, 0.0
+    found = voxels.at(*points.T)
+    np.testing.assert_array_equal(found, 3 * (np.abs(points) < 0.02).all(axis=1))
