@@ -106,13 +106,11 @@ class Aimed:
         return Aims(centres, contacts, rolls, np.zeros(len(targets)), postures)
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
-        """For each target a successful neighbour; for one that has a success already the best around it."""
+        """For each target the best success around it, or in it; among equals `generator` draws."""
         options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
-        ranks, lots = self._hints.ranks(options), generator.random(options.shape)
-        is_empty = ranks[:, -1:] < 0
-        preference = np.where(is_empty, lots, ranks + SAME * lots)
-        chosen = np.where(ranks < 0, -1.0, preference).argmax(axis=1)
-        parents: Places = options[np.arange(len(targets)), chosen]
+        ranks = self._hints.ranks(options)
+        preference = np.where(ranks < 0, -1.0, ranks + SAME * generator.random(options.shape))
+        parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
         return parents
 
     def _varied(self, postures: Floats, generator: np.random.Generator) -> Floats:
