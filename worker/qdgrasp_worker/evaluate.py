@@ -102,10 +102,8 @@ class Evaluator:
         refused = refusals(genomes, trials, grasps, self._protocol.trials)
         wanted = np.array([not reason for reason in refused], dtype=bool)
         shortlists, features = self._screen(grasps, trials, wanted)
-        first = np.searchsorted(grasps.rows, np.arange(len(genomes))).tolist()
         found = [
-            reason or self._find(grasps, shortlists[i], first[i], int(trials[i]))
-            for i, reason in enumerate(refused)
+            reason or self._find(grasps, shortlists[i], int(trials[i])) for i, reason in enumerate(refused)
         ]
         findings = {i: finding for i, finding in enumerate(found) if isinstance(finding, Finding)}
         fill(rows, grasps, features, findings)
@@ -117,17 +115,17 @@ class Evaluator:
             self._decoders[prior] = Decoder(self.scene, prior, self._surface)
         return self._decoders[prior]
 
-    def _find(self, grasps: Grasps, shortlist: Shortlist, first: int, trial: int) -> Finding | str:
+    def _find(self, grasps: Grasps, shortlist: Shortlist, trial: int) -> Finding | str:
         """What an episode finds, or the reason why it failed; the next one starts in a new world then."""
-        if not shortlist.candidates:
-            return Finding(first, Verdict(Outcome.DEAD_END, grasps[first].joints), 1)
+        if not shortlist.poses:
+            return Finding(shortlist.first, Verdict(Outcome.DEAD_END, grasps[shortlist.first].joints), 1)
         try:
             place, verdict = self._try(grasps, shortlist, trial)
         except Exception as error:  # noqa: BLE001  # whatever failed, it is this row's result and no other's
             self._world.close()
             self._world = World(self.scene)
             return f"{type(error).__name__}: {error}"
-        return Finding(place, verdict, len(shortlist.candidates))
+        return Finding(place, verdict, shortlist.poses)
 
     def _try(self, grasps: Grasps, shortlist: Shortlist, trial: int) -> tuple[int, Verdict]:
         """The best candidate that does not overlap, or the first one, and what an episode finds of it.
@@ -135,16 +133,14 @@ class Evaluator:
         It is chosen by trial 0, so that all trials of a genome disturb the same pose.
         """
         episode = Episode(self._world, self._protocol)
-        is_choice = len(shortlist.candidates) > 1
         for place in shortlist.ranked:
             pose = grasps[place]
-            if trial and is_choice and episode.overlaps(Trial(pose)):
+            if trial and shortlist.is_choice and episode.overlaps(Trial(pose)):
                 continue
             verdict = episode.run(self._protocol.trial(pose, trial))
             if trial or verdict.outcome is not Outcome.OVERLAP:
                 return place, verdict
-        first = shortlist.candidates[0]
-        return first, Verdict(Outcome.OVERLAP, grasps[first].joints)
+        return shortlist.first, Verdict(Outcome.OVERLAP, grasps[shortlist.first].joints)
 
 
 def refusals(

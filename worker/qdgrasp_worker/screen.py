@@ -18,10 +18,17 @@ from qdgrasp_worker.swath import Closing, Swaths
 class Shortlist:
     """The candidates of one genome, by their places in the batch."""
 
-    candidates: list[int]
-    """Those that are poses, as they were drawn; empty: a dead end."""
+    first: int
+    """What stands for the genome where none is simulated: the first that is a pose, or the first."""
+    poses: int
+    """How many of them are poses; 0: a dead end."""
     ranked: list[int]
-    """Those of them that do not surely overlap, in the order in which they are tried."""
+    """The poses that do not surely overlap, in the order in which they are tried."""
+
+    @property
+    def is_choice(self) -> bool:
+        """Whether one of several poses is to be found."""
+        return self.poses > 1
 
 
 class Screen:
@@ -64,8 +71,7 @@ class Screen:
         (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.rows])
         left = np.setdiff1d(poses, self._overlap(grasps, nominal)) if self._filters else poses
         features, order = self._rank(grasps, left)
-        candidates, ranked = by_row(grasps, poses), by_row(grasps, order)
-        return [Shortlist(*lists) for lists in zip(candidates, ranked, strict=True)], features
+        return shortlists(grasps, poses, order), features
 
     def _rank(self, grasps: Grasps, left: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
         """The features (poses, f), and `left` with the best of each genome first."""
@@ -87,9 +93,13 @@ class Screen:
         return Ranking(gripper, self._solid, Swaths(gripper, self._closing))
 
 
-def by_row(grasps: Grasps, places: NDArray[np.intp]) -> list[list[int]]:
-    """`places` in a batch, genome by genome."""
-    lists: list[list[int]] = [[] for _ in range(len(grasps.weights))]
-    for row, place in zip(grasps.rows[places].tolist(), places.tolist(), strict=True):
-        lists[row].append(place)
-    return lists
+def shortlists(grasps: Grasps, poses: NDArray[np.intp], order: NDArray[np.intp]) -> list[Shortlist]:
+    """A list for each genome, of the `poses` among a batch of grasps and the `order` in which to try them."""
+    genomes = np.arange(len(grasps.weights))
+    counts = np.bincount(grasps.rows[poses], minlength=len(genomes))
+    first = np.searchsorted(grasps.rows, genomes)
+    is_alive = counts > 0
+    first[is_alive] = poses[np.searchsorted(grasps.rows[poses], genomes[is_alive])]
+    ends = np.searchsorted(grasps.rows[order], genomes, side="right")
+    ranked = [places.tolist() for places in np.split(order, ends)[:-1]]
+    return [Shortlist(*each) for each in zip(first.tolist(), counts.tolist(), ranked, strict=True)]

@@ -9,7 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.objects.solids import geodesic
 from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_worker.convex import Hull, hulls
 from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.overlap import matrices, placed
 from qdgrasp_worker.skeleton import Skeleton
@@ -37,6 +39,7 @@ class Swaths:
     def __init__(self, gripper: SceneGripper, closing: Closing) -> None:
         self._skeleton = Skeleton(gripper)
         self._fingers = gripper.finger_links
+        self._plain = {link: plain(self._skeleton.hulls[link]) for link in self._fingers}
         self._closing = closing
         self._opened = [joint.opened for joint in gripper.joints]
         names = [joint.name for joint in gripper.joints]
@@ -78,12 +81,19 @@ class Swaths:
         low, high = self._skeleton.box(self._fingers, frames)
         voxels = Voxels(low - BESIDE, high + BESIDE, PITCH)
         for link in self._fingers:
-            for hull in self._skeleton.hulls[link]:
+            for hull in self._plain[link]:
                 for frame in np.unique(frames[link], axis=0):
                     there = hull.moved(frame)
                     voxels.mark(there.grown(BESIDE), NEAR)
                     voxels.mark(there, IN)
         return voxels
+
+
+def plain(parts: Sequence[Hull]) -> list[Hull]:
+    """Hulls of the points that `parts` reach farthest with in 92 directions."""
+    directions = geodesic(1.0, 3).vertices
+    corners = [hull.triangles.reshape(-1, 3) for hull in parts]
+    return hulls(points[np.unique((points @ directions.T).argmax(axis=0))] for points in corners)
 
 
 def share(voxels: Voxels, points: Singles, grasps: Grasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
