@@ -159,8 +159,10 @@ def test_a_trial_that_the_protocol_does_not_have_fails(make_scene, genomes, prot
     assert all(reason in failure for failure in failures.values())
 
 
-def test_an_empty_batch_gives_no_rows(evaluator, genomes):
-    evaluation = evaluator.evaluate("approach", genomes[:0], nominal(genomes[:0]))
+@pytest.mark.parametrize("prior", ["approach", "antipodal", "aimed"])
+def test_an_empty_batch_gives_no_rows(evaluator, prior):
+    none = evaluator.shape(prior).empty(0)["genome"]
+    evaluation = evaluator.evaluate(prior, none, nominal(none))
     assert len(evaluation.rows) == 0
     assert evaluation.failures == []
 

@@ -85,6 +85,17 @@ def test_fingers_that_meet_nothing_close(world):
     np.testing.assert_allclose(world.fingers(), 0.0, atol=1e-4)
 
 
+def test_the_course_of_a_closing_hand_is_the_same_whatever_was_before(world):
+    course = world.closing([0.04, 0.03], NO_SYNERGY)
+    assert len(course) == CLOSING_STEPS + 1
+    np.testing.assert_allclose(course[0], [0.04, 0.03])
+    np.testing.assert_allclose(course[-1], 0.0, atol=1e-3)
+    world.reset(FAR, [0.01, 0.01])
+    world.shake_to(0.2, SHAKES[0])
+    close_hand(world)
+    assert world.closing([0.04, 0.03], NO_SYNERGY) == course
+
+
 def test_a_synergy_closes_its_own_joints_and_the_others_stay_open(cube):
     synergies = (Synergy(name="left", joints=(LEFT,)), Synergy(name="right", joints=(RIGHT,)))
     world = World(with_gripper(cube, synergies=synergies))
