@@ -20,6 +20,8 @@ from qdgrasp_assets.urdf import Urdf
 SIDES = 16
 """Of the prism within a cylinder; the simulator's has 32, with these among its edges."""
 HEADER, TRIANGLE = 84, 50  # bytes of a binary STL
+CONCAVE = "concave"
+"""The attribute of a collision shape that the simulator takes as bare triangles, which have no inside."""
 STARTS = frozenset({"o", "g", "usemtl"})
 """Words of an OBJ that may begin another group."""
 
@@ -39,6 +41,8 @@ def convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Part]:
         for collision in link.findall("collision"):
             geometry = collision.find("geometry")
             if geometry is None or not len(geometry) or geometry[0].tag not in FORMS:
+                continue
+            if collision.get(CONCAVE) is not None:
                 continue
             frame = origin(collision.find("origin"))
             for corners in FORMS[geometry[0].tag](geometry[0], files):
@@ -65,7 +69,8 @@ def groups(obj: str) -> Iterator[Floats]:
 
 def _stl(content: bytes) -> Iterator[Floats]:
     """The corners of all triangles of an STL file, as one part."""
-    if (len(content) - HEADER) % TRIANGLE == 0:
+    count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
+    if len(content) == HEADER + TRIANGLE * count:
         triangles = np.frombuffer(content, np.uint8, offset=HEADER).reshape(-1, TRIANGLE)
         corners = np.ascontiguousarray(triangles[:, 12:48]).view("<f4").reshape(-1, 3)
         yield np.unique(corners.astype(np.float64), axis=0)

@@ -14,13 +14,15 @@ from qdgrasp_assets.shapes import shapes
 from qdgrasp_assets.urdf import tree
 from qdgrasp_protocol.spec import RunSpec
 
-LINK = '<robot name="one"><link name="palm"><collision>{}<geometry>{}</geometry></collision></link></robot>'
+LINK = (
+    '<robot name="one"><link name="palm"><collision {}>{}<geometry>{}</geometry></collision></link></robot>'
+)
 TETRAHEDRON = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{0} one\nf 1 2 3\nf 1/1 2/2/2 4//4\nv 5 5 5\n{0} two\nf -1 1 2\n"
 
 
-def parts_of(geometry, files=None, origin=""):
-    robot = tree(Path("one"), ElementTree.fromstring(LINK.format(origin, geometry)))  # noqa: S314 - written above
+def parts_of(geometry, files=None, origin="", attributes=""):
+    robot = tree(Path("one"), ElementTree.fromstring(LINK.format(attributes, origin, geometry)))  # noqa: S314 - written above
     return list(convex_parts(robot, files or {}))
 
 
@@ -74,4 +76,9 @@ def test_an_obj_has_a_part_for_each_group_with_the_corners_of_its_triangles(word
     ['<mesh filename="a.dae"/>', '<mesh filename="text.stl"/>', '<capsule radius="1" length="2"/>'],
 )
 def test_what_is_not_known_here_has_no_parts(geometry) -> None:
-    assert parts_of(geometry, {"a.dae": b"<xml/>", "text.stl": b"solid\nendsolid\n" * 20}) == []
+    assert parts_of(geometry, {"a.dae": b"<xml/>", "text.stl": b"solid".ljust(84 + 3 * 50)}) == []
+
+
+def test_a_shape_that_is_bare_triangles_has_no_parts() -> None:
+    assert len(parts_of('<box size="1 1 1"/>')) == 1
+    assert parts_of('<box size="1 1 1"/>', attributes='concave="yes"') == []
