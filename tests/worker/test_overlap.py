@@ -1,5 +1,7 @@
 """The overlap filter: what it rejects, Bullet rejects too; and no result depends on it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,18 +23,21 @@ HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
 REFERENCE = [f"ref_{name}" for name in ("panda_2f", "bh280", "allegro", "shadow", "robotiq_2f")]
 
 
-def compare(scene, prior, n, seed):
-    """Which of n random poses Bullet rejects, and which the filter rejects: (n,) each."""
+def tools(scene, prior, n, seed):
+    """The grasps of n random genomes, the filter, and an episode in a world of its own."""
     protocol = PROTOCOLS[scene.protocol]
     genomes = np.random.default_rng(seed).uniform(-1.0, 1.0, (n, len(layout(scene, prior))))
     grasps = Decoder(scene, prior, Surface(scene))(genomes.astype(np.float32))
     overlap = OverlapFilter(scene.gripper, Solid(scene), follows_free_joints=protocol.free_joints_first)
-    rejected = np.zeros(n, dtype=bool)
-    rejected[overlap(grasps, np.arange(n))] = True
-    world = World(scene)
-    episode = Episode(world, protocol)
+    return grasps, overlap, Episode(World(scene), protocol)
+
+
+def compare(scene, prior, n, seed):
+    """Which of n random poses Bullet rejects, and which the filter rejects: (n,) each."""
+    grasps, overlap, episode = tools(scene, prior, n, seed)
+    rejected = np.isin(np.arange(n), overlap(grasps, np.arange(n)))
     overlapping = np.array([episode.overlaps(Trial(grasps[i])) for i in range(n)])
-    world.close()
+    episode.world.close()
     return overlapping, rejected
 
 
@@ -43,6 +48,25 @@ def test_what_the_filter_rejects_overlaps_in_bullet_and_it_finds_most(scene, mak
         assert not (rejected & ~overlapping).any()
         assert overlapping.sum() > 100
         assert rejected.sum() > overlapping.sum() / 2
+
+
+@pytest.mark.parametrize("scene", SCENES, ids="-".join)
+def test_hands_that_are_drawn_out_until_the_filter_hardly_rejects_them_overlap_in_bullet(scene, make_scene):
+    grasps, overlap, episode = tools(make_scene(*scene), "approach", 1500, seed=3)
+    places = overlap(grasps, np.arange(len(grasps)))
+    outward = grasps.positions - grasps.surface_points
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    inside, outside = np.zeros(len(grasps), np.float32), np.full(len(grasps), 0.2, np.float32)
+    for _ in range(12):  # to 50 um
+        middle = (inside + outside) / 2
+        drawn = replace(grasps, positions=grasps.positions + middle[:, None] * outward)
+        is_rejected = np.isin(np.arange(len(grasps)), overlap(drawn, places))
+        inside, outside = np.where(is_rejected, middle, inside), np.where(is_rejected, outside, middle)
+    drawn = replace(grasps, positions=grasps.positions + inside[:, None] * outward)
+    assert len(places) > 100
+    assert np.median(inside[places]) > 0.003
+    assert all(episode.overlaps(Trial(drawn[i])) for i in places)
+    episode.world.close()
 
 
 @pytest.mark.slow
