@@ -18,8 +18,8 @@ from qdgrasp_coordinator.draws import draws
 from qdgrasp_coordinator.searches.aims import OWN, SYNERGY, TARGET, Aims, directions, joined
 from qdgrasp_coordinator.searches.frontier import Frontier, Places
 from qdgrasp_coordinator.searches.hints import Hints
+from qdgrasp_coordinator.searches.ranker import Ranker
 from qdgrasp_coordinator.searches.scouts import scouts
-from qdgrasp_coordinator.searches.success_model import SuccessModel
 from qdgrasp_coordinator.space import Space
 from qdgrasp_protocol.genome import Genomes, Layout
 from qdgrasp_protocol.outcome import Outcome
@@ -36,7 +36,7 @@ REDRAWN = 0.15
 """The probability that a synergy is drawn anew."""
 DRIFT = 0.05
 """How far free joints move from their neighbour's: standard deviation, in genes."""
-POOR = 0.25
+POOR = 0.05
 """What an empty cell must be worth; for less, a weak grasp is tried again."""
 AGAIN = 0.5
 """The greatest share of a generation for weak grasps."""
@@ -60,29 +60,41 @@ class Aimed:
         self._space = space
         self._frontier = Frontier(space.box)
         self._hints = Hints(self._frontier.size, space.approach_axis, space.genes - OWN)
-        self._model = SuccessModel()
-        self._candidates = 1 if spec.overlaps == "count" else MOST_CANDIDATES
+        self._ranker = Ranker()
+        self._open: dict[int, Floats] = {}
+        """Of generations that are not told yet, what was known of the empty cells that they aim at."""
+        self._counts_all = spec.overlaps == "count"
+        self._candidates = 1 if self._counts_all else MOST_CANDIDATES
         self._asked = 0
 
     def ask(self, generation: int) -> Genomes:
         """Aims at the best cells, and scouts: (population, genes)."""
-        aimed = self._aimed(self._targets(generation), generation)
+        targets = self._targets(generation)
+        self._open[generation] = self._frontier.features(targets[~self._frontier.successful[targets]])
+        aimed = self._aimed(targets, generation)
         aims = joined(aimed, self._scouts(generation, self._spec.population - len(aimed)))
-        genomes = aims.genomes(self._space.layout, self._candidates, self._model.weights)
+        genomes = aims.genomes(self._space.layout, self._candidates, self._ranker.weights)
         self._frontier.aim(self._aimed_at(genomes))
         self._asked += len(genomes)
         return genomes
 
     def tell(self, generation: int, rows: Rows) -> None:
         """Hear which cells were reached, which were dead ends, and what the poses looked like."""
-        is_dead = rows["outcome"] < Outcome.MISSED
-        self._frontier.fail(self._aimed_at(rows["genome"][is_dead]))
-        successes = rows[rows["outcome"] >= Outcome.DROPPED]
+        is_simulated = rows["outcome"] >= Outcome.MISSED
+        is_success = rows["outcome"] >= Outcome.DROPPED
+        features = self._open.pop(generation)
+        told = np.flatnonzero((is_simulated | self._counts_all)[: len(features)])
+        self._frontier.learn(features[told], is_success[told])
+        self._frontier.fail(self._aimed_at(rows["genome"][~is_simulated]))
+        self._succeed(rows[is_success])
+        self._ranker.learn(rows[is_simulated])
+
+    def _succeed(self, successes: Rows) -> None:
+        """Hear of successes; those outside the box are passed over."""
         places = self._frontier.places(successes["descriptor"][:, :3])
         successes, places = successes[places >= 0], places[places >= 0]
-        self._frontier.succeed(places)
+        self._frontier.succeed(places, successes["surface_point"].astype(np.float64))
         self._hints.learn(places, successes)
-        self._model.learn(rows)
 
     def _targets(self, generation: int) -> Places:
         """The cells to aim at, each once, at most as many as the population; none in the beginning."""

@@ -1,18 +1,23 @@
 """The frontier: the empty cells beside successes, and which of them to try next.
 
-A cell is worth a try when many of its 26 neighbours hold a success and few tries were spent on it:
-(successful neighbours + 1) / (tries + dead ends / 2 + 1), where a try is a simulated pose and a dead end a
-genome of which nothing could be simulated.
+A cell is worth a try when it is likely to hold a success and little was spent on it:
+likelihood / (tries + dead ends / 2 + 1), where a try is a simulated pose and a dead end a genome of which
+nothing could be simulated. How likely it is, the search learns, from the distance between the cell and the
+contact point of the nearest success beside it, and from how many of its 26 neighbours hold a success.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qdgrasp_assets.rotation import Floats, dot
 from qdgrasp_coordinator.archive import Box
 from qdgrasp_coordinator.cells import PER_METRE, cells
+from qdgrasp_coordinator.searches.logistic import Logistic
 
 Places = NDArray[np.intp]
 """(n,): cells of a frontier, as places in its grid."""
+DECIMETRE = 0.1
+"""The unit of distances as features [m]: what a hand is from what it grasps."""
 DEAD_END = 0.5
 """What a dead end weighs against a try: it costs no simulation, and the next draw may be none."""
 NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
@@ -42,6 +47,8 @@ class Frontier:
         self._dead_ends = np.zeros(size, np.int32)
         self._successful = np.zeros(size, np.bool_)
         self._neighbours = np.zeros(size, np.uint8)
+        self._distances = np.full(size, np.inf, np.float32)
+        self._model = Logistic(4)
         self._within = np.zeros(self._shape, np.bool_)
         self._within[1:-1, 1:-1, 1:-1] = True
         self._within = self._within.reshape(-1)
@@ -89,22 +96,37 @@ class Frontier:
         np.add.at(self._tries, places, -1)
         np.add.at(self._dead_ends, places, 1)
 
-    def succeed(self, places: Places) -> None:
-        """Hear that `places` (n,), in any order and repeated, hold a success."""
-        new = np.unique(places[~self._successful[places]])
+    def succeed(self, places: Places, contacts: Floats) -> None:
+        """Hear that `places` (n,), in any order and repeated, hold successes at `contacts` (n, 3) [m]."""
+        new, first = np.unique(places, return_index=True)
+        is_new = ~self._successful[new]
+        new, contacts = new[is_new], contacts[first[is_new]]
         if not len(new):
             return
         self._successful[new] = True
         around = self.around(new).ravel()
+        ways = self.centres(around) - np.repeat(contacts, len(NEIGHBOURS), axis=0)
+        np.minimum.at(self._distances, around, np.sqrt(dot(ways, ways)).astype(np.float32))
         touched = np.unique(around[(self._neighbours[around] == 0) & self._within[around]])
         np.add.at(self._neighbours, around, 1)
         edge = np.concatenate([self._edge, touched])
         self._edge = edge[~self._successful[edge]]
 
-    def worth(self, places: Places) -> NDArray[np.float64]:
-        """What a try in each of `places` (n,) promises; greater is better, 2 is the least of a new cell."""
-        spent = self._tries[places] + DEAD_END * self._dead_ends[places]
-        worth: NDArray[np.float64] = (self._neighbours[places] + 1.0) / (spent + 1.0)
+    def features(self, places: Places) -> Floats:
+        """What is known of cells (n,) beside successes before they are tried: (n, 4), the last constant."""
+        distances = self._distances[places].astype(np.float64) / DECIMETRE
+        shares = self._neighbours[places] / len(NEIGHBOURS)
+        return np.stack([distances, distances * distances, shares, np.ones(len(places))], axis=1)
+
+    def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
+        """Hear what became of tries in cells with such `features` (n, 4) when they were aimed at."""
+        self._model.learn(features, successes)
+
+    def worth(self, places: Places) -> Floats:
+        """What a try in each of `places` (n,) promises, 0 to 1; while nothing is learned, neighbours count."""
+        features = self.features(places)
+        likely = self._model.likely(features) if self._model.is_fitted else (1.0 + features[:, 2]) / 2.0
+        worth: Floats = likely / (self._spent(places) + 1.0)
         return worth
 
     def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:
@@ -117,8 +139,11 @@ class Frontier:
 
     def rarest(self, places: Places, n: int, generator: np.random.Generator) -> Places:
         """The `n` of `places` with the fewest tries; among equals `generator` draws."""
-        spent = self._tries[places] + DEAD_END * self._dead_ends[places]
-        return top(places, -spent, n, generator)
+        return top(places, -self._spent(places), n, generator)
+
+    def _spent(self, places: Places) -> Floats:
+        spent: Floats = self._tries[places] + DEAD_END * self._dead_ends[places]
+        return spent
 
 
 def top(places: Places, worth: NDArray[np.float64], n: int, generator: np.random.Generator) -> Places:

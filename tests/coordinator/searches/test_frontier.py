@@ -19,6 +19,12 @@ def frontier() -> Frontier:
     return Frontier(BOX)
 
 
+def succeed(frontier: Frontier, positions) -> None:
+    """Successes at `positions` that look at points 5 cm below."""
+    positions = np.asarray(positions, float)
+    frontier.succeed(frontier.places(positions), positions - [0, 0, 0.05])
+
+
 def by_hand(frontier: Frontier, found: np.ndarray) -> set[tuple[int, ...]]:
     """The empty cells of the box beside `found` cells (n, 3), one by one."""
     cells = {tuple(cell) for cell in found}
@@ -40,11 +46,11 @@ def test_positions_outside_the_box_have_no_place(frontier: Frontier) -> None:
 
 
 def test_a_success_makes_its_26_neighbours_worth_a_try(frontier: Frontier) -> None:
-    frontier.succeed(frontier.places(MIDDLE))
+    succeed(frontier, MIDDLE)
     reached = np.rint(frontier.centres(frontier.edge) * 100)
     assert len(reached) == 26
     assert np.abs(reached).max(axis=1).tolist() == [1] * 26
-    assert frontier.worth(frontier.edge).tolist() == [2] * 26
+    assert frontier.worth(frontier.edge).tolist() == [pytest.approx(27 / 52)] * 26
 
 
 def test_the_edge_is_what_one_finds_cell_by_cell(frontier: Frontier) -> None:
@@ -53,30 +59,31 @@ def test_the_edge_is_what_one_finds_cell_by_cell(frontier: Frontier) -> None:
     for _ in range(12):
         new = random.integers(-5, 6, (random.integers(1, 8), 3))
         found = np.concatenate([found, new])
-        frontier.succeed(frontier.places(new / 100))
+        succeed(frontier, new / 100)
         edge = np.rint(frontier.centres(frontier.edge) * 100).astype(int)
         assert len(edge) == len({tuple(cell) for cell in edge})
         assert {tuple(cell) for cell in edge} == by_hand(frontier, found)
         beside = (np.abs(edge[:, None] - np.unique(found, axis=0)[None]).max(axis=2) == 1).sum(axis=1)
-        assert frontier.worth(frontier.edge).tolist() == (beside + 1).tolist()
+        assert (frontier.features(frontier.edge)[:, 2] * 26).tolist() == pytest.approx(beside.tolist())
 
 
 def test_the_edge_ends_at_the_box(frontier: Frontier) -> None:
-    frontier.succeed(frontier.places([[0.05, 0.05, 0.05]]))
+    succeed(frontier, [[0.05, 0.05, 0.05]])
     assert len(frontier.edge) == 7
 
 
 def test_a_try_costs_more_than_a_dead_end(frontier: Frontier) -> None:
-    frontier.succeed(frontier.places(MIDDLE))
+    succeed(frontier, MIDDLE)
     places = frontier.edge[:3]
     frontier.aim(places)
-    assert frontier.worth(places).tolist() == [1, 1, 1]
+    tried = 27 / 104
+    assert frontier.worth(places).tolist() == pytest.approx([tried] * 3)
     frontier.fail(places[:1])
-    assert frontier.worth(places).tolist() == [pytest.approx(2 / 1.5), 1, 1]
+    assert frontier.worth(places).tolist() == pytest.approx([tried * 2 / 1.5, tried, tried])
 
 
 def test_the_best_are_those_with_most_neighbours_and_fewest_tries(frontier: Frontier) -> None:
-    frontier.succeed(frontier.places([[-0.01, 0, 0], [0.01, 0, 0]]))
+    succeed(frontier, [[-0.01, 0, 0], [0.01, 0, 0]])
     between = frontier.places(MIDDLE)
     assert between in frontier.best(9, generator())
     frontier.aim(np.repeat(between, 2))
@@ -85,20 +92,20 @@ def test_the_best_are_those_with_most_neighbours_and_fewest_tries(frontier: Fron
 
 @pytest.mark.parametrize("n", [0, 1, 20, 26, 400])
 def test_no_cell_is_chosen_twice_and_never_a_successful_one(frontier: Frontier, n: int) -> None:
-    frontier.succeed(frontier.places(MIDDLE))
+    succeed(frontier, MIDDLE)
     best = frontier.best(n, generator())
     assert len(np.unique(best)) == len(best) == min(n, 26)
     assert not frontier.successful[best].any()
 
 
 def test_among_equals_every_cell_has_its_turn(frontier: Frontier) -> None:
-    frontier.succeed(frontier.places(MIDDLE))
+    succeed(frontier, MIDDLE)
     seen = {int(place) for number in range(60) for place in frontier.best(3, generator(number))}
     assert seen == set(frontier.edge.tolist())
 
 
 def test_a_dead_end_is_not_tried_for_ever(frontier: Frontier) -> None:
-    frontier.succeed(frontier.places(MIDDLE))
+    succeed(frontier, MIDDLE)
     times: dict[int, int] = {}
     for number in range(104):
         best = frontier.best(5, generator(number))
@@ -107,3 +114,23 @@ def test_a_dead_end_is_not_tried_for_ever(frontier: Frontier) -> None:
         for place in best.tolist():
             times[place] = times.get(place, 0) + 1
     assert max(times.values()) - min(times.values()) <= 1
+
+
+def test_the_nearest_contact_point_beside_a_cell_counts(frontier: Frontier) -> None:
+    below, above = np.array([[0.0, 0, -0.05]]), np.array([[0.0, 0, 0.03]])
+    frontier.succeed(frontier.places(MIDDLE), below)
+    cell = frontier.places([[0.0, 0, 0.01]])
+    assert frontier.features(cell)[0] == pytest.approx([0.6, 0.36, 1 / 26, 1])
+    frontier.succeed(frontier.places([[0.01, 0, 0.0]]), above)
+    assert frontier.features(cell)[0] == pytest.approx([0.2, 0.04, 2 / 26, 1])
+
+
+def test_it_learns_which_distances_promise_success(frontier: Frontier) -> None:
+    random = np.random.default_rng(0)
+    distances = random.uniform(0.2, 1.2, 2000)
+    features = np.stack([distances, distances**2, random.random(2000), np.ones(2000)], axis=1)
+    frontier.learn(features, random.random(2000) < 1 / (1 + np.exp(20 * (distances - 0.5))))
+    succeed(frontier, [[0.0, 0, 0], [0, 0, 0.01], [0, 0, 0.02], [0, 0, 0.03], [0, 0, 0.04]])
+    near, far = frontier.places([[0.01, 0, -0.01]]), frontier.places([[0.01, 0, 0.05]])
+    near_worth, far_worth = frontier.worth(np.concatenate([near, far]))
+    assert near_worth > 2 * far_worth

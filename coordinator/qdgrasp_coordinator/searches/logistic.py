@@ -1,0 +1,76 @@
+"""Logistic regression, fitted now and then to the latest of what was heard."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.rotation import Floats
+
+MEMORY = 2048
+"""The last examples that a fit looks at."""
+PATIENCE = 256
+"""Examples between two fits."""
+FEW = 10
+"""So many successes and so many failures must be there before the first fit."""
+NEWTON_STEPS = 5
+RIDGE = 1.0
+"""Precision of the weights' prior, N(0, 1 / RIDGE); it keeps a fit finite when features tell all."""
+GRAIN = 64
+"""Weights are whole multiples of 1 / GRAIN: the last bits of a fit, which differ between processors, do not
+reach the genomes."""
+
+
+class Logistic:
+    """How likely a success is, given `features` numbers, the last of which is constant."""
+
+    def __init__(self, features: int) -> None:
+        self.weights: Floats = np.zeros(features)
+        """One for each feature, in whole grains; zeros before the first fit."""
+        self._features = np.zeros((MEMORY, features))
+        self._successes = np.zeros(MEMORY, np.bool_)
+        self._heard = 0
+        self._fitted = 0
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether it says anything yet."""
+        return self._fitted > 0
+
+    def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
+        """Hear of examples: features (n, k) and which of them were successes."""
+        features, successes = features[-MEMORY:], successes[-MEMORY:]
+        places = (self._heard + np.arange(len(features))) % MEMORY
+        self._features[places], self._successes[places] = features, successes
+        self._heard += len(features)
+        known = min(self._heard, MEMORY)
+        if self._heard - self._fitted >= PATIENCE and _is_telling(self._successes[:known]):
+            self._fitted = self._heard
+            self.weights = np.rint(fit(self._features[:known], self._successes[:known]) * GRAIN) / GRAIN
+
+    def likely(self, features: Floats) -> Floats:
+        """The probability (n,) of success for features (n, k)."""
+        return _likely(features, self.weights)
+
+
+def fit(features: Floats, successes: NDArray[np.bool_]) -> Floats:
+    """The weights (k,) of features (n, k), by Newton's method from zero.
+
+    Sums are einsum's own loops: no matrix library with threads, for so little.
+    """
+    weights = np.zeros(features.shape[1])
+    for _ in range(NEWTON_STEPS):
+        likely = _likely(features, weights)
+        gradient = np.einsum("nk,n->k", features, successes - likely) - RIDGE * weights
+        scaled = features * (likely * (1.0 - likely))[:, None]
+        curvature = np.einsum("nk,nl->kl", scaled, features) + RIDGE * np.eye(len(weights))
+        weights = weights + np.linalg.solve(curvature, gradient)
+    return weights
+
+
+def _likely(features: Floats, weights: Floats) -> Floats:
+    likely: Floats = 1.0 / (1.0 + np.exp(-np.einsum("nk,k->n", features, weights)))
+    return likely
+
+
+def _is_telling(successes: NDArray[np.bool_]) -> bool:
+    found = int(np.count_nonzero(successes))
+    return min(found, len(successes) - found) >= FEW

@@ -1,0 +1,73 @@
+"""Logistic regression of the latest examples."""
+
+import numpy as np
+import pytest
+
+from qdgrasp_coordinator.searches.logistic import FEW, GRAIN, PATIENCE, Logistic, fit
+
+TRUE = np.array([3.0, -1.0, 0.5, 0.0, -2.0, 0.7])
+
+
+def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Features (n, 6), the last constant, and successes that follow `TRUE`."""
+    random = np.random.default_rng(seed)
+    features = np.concatenate([random.uniform(-1, 1, (n, 5)), np.ones((n, 1))], axis=1)
+    return features, random.random(n) < 1 / (1 + np.exp(-features @ TRUE))
+
+
+def test_a_fit_finds_the_weights_that_made_the_successes() -> None:
+    assert fit(*poses(20_000)) == pytest.approx(TRUE, abs=0.15)
+
+
+def test_features_that_tell_everything_leave_it_finite() -> None:
+    features, _ = poses(500)
+    weights = fit(features, features[:, 0] > 0)
+    assert np.isfinite(weights).all()
+    assert weights[0] > 3 * np.abs(weights[1:]).max()
+
+
+def test_nothing_is_learned_of_one_kind_of_outcome() -> None:
+    model = Logistic(6)
+    features, _ = poses(PATIENCE * 2)
+    model.learn(features, np.ones(len(features), bool))
+    assert not model.is_fitted
+    assert not model.weights.any()
+    model.learn(features[:FEW], np.zeros(FEW, bool))
+    assert model.is_fitted
+    assert model.weights.any()
+
+
+def test_likelihoods_are_those_of_the_examples() -> None:
+    model = Logistic(6)
+    features, successes = poses(2000)
+    model.learn(features, successes)
+    likely = model.likely(features)
+    for low in (0.0, 0.2, 0.4, 0.6, 0.8):
+        is_like = (likely >= low) & (likely < low + 0.2)
+        assert successes[is_like].mean() == pytest.approx(likely[is_like].mean(), abs=0.08)
+
+
+def test_it_forgets_what_is_long_ago() -> None:
+    model = Logistic(6)
+    features, successes = poses(3000)
+    model.learn(features, ~successes)
+    assert model.weights[0] < 0
+    for block in range(10):
+        model.learn(features[block * 250 :][:250], successes[block * 250 :][:250])
+    assert model.weights[0] > 0
+
+
+def test_blocks_of_any_length_say_the_same() -> None:
+    one, other = Logistic(6), Logistic(6)
+    features, successes = poses(5000)
+    one.learn(features, successes)
+    for place in range(0, 5000, PATIENCE * 10):
+        block = slice(place, place + PATIENCE * 10)
+        other.learn(features[block], successes[block])
+    assert np.abs(one.weights - other.weights).max() < 0.3
+
+
+def test_weights_are_whole_grains() -> None:
+    model = Logistic(6)
+    model.learn(*poses(PATIENCE))
+    assert (model.weights * GRAIN == np.rint(model.weights * GRAIN)).all()
