@@ -123,7 +123,7 @@ class Frontier:
         self._model.learn(features, successes)
 
     def worth(self, places: Places) -> Floats:
-        """What a try in each of `places` (n,) promises, 0 to 1; while nothing is learned, neighbours count."""
+        """What a try in each of `places` (n,) promises, 0 to 1; by neighbours alone until a fit."""
         features = self.features(places)
         likely = self._model.likely(features) if self._model.is_fitted else (1.0 + features[:, 2]) / 2.0
         worth: Floats = likely / (self._spent(places) + 1.0)
