@@ -20,7 +20,7 @@ ANTIPODAL = "antipodal"
 """The prior that needs a two-finger hand."""
 AIMED = "aimed"
 """The prior that aims at a cell and chooses among candidates."""
-FEATURES = ("swept", "near", "facing", "distance", "height", "constant")
+FEATURES = ("swept", "opposed", "facing", "distance", "height", "constant")
 """What `AIMED` ranks candidates by, and tells of the pose that it took (docs/methods.md)."""
 MOST_CANDIDATES = 32
 STEEPEST = 8.0

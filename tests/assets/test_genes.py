@@ -20,7 +20,7 @@ def with_gripper(scene: Scene, **changes) -> Scene:
     return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, **changes))
 
 
-WEIGHTS = ("w_swept", "w_near", "w_facing", "w_distance", "w_height", "w_constant")
+WEIGHTS = ("w_swept", "w_opposed", "w_facing", "w_distance", "w_height", "w_constant")
 NAMES = {
     "aimed": ("x_t", "y_t", "z_t", "x_c", "y_c", "z_c", "omega", "looseness", "candidates", *WEIGHTS),
     "antipodal": ("x_r", "y_r", "z_r", "Omega"),

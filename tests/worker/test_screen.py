@@ -95,8 +95,8 @@ def test_features_are_those_of_simulated_poses_and_end_with_the_constant(rows):
     assert simulated.sum() > N / 2
 
 
-def test_a_genome_without_weights_is_ranked_by_the_swath():
-    features = np.array([[0.2, 0.7, 1, 1, 1, 1], [0.5, 0.5, 0, 0, 0, 1], [0.5, 0.6, -1, 0, -1, 1]])
+def test_a_genome_without_weights_is_ranked_by_what_is_swept_from_opposite_sides():
+    features = np.array([[0.9, 0.2, 1, 1, 1, 1], [0.5, 0.4, 0, 0, 0, 1], [0.5, 0.5, -1, 0, -1, 1]])
     assert scores(features.astype(np.float32), np.zeros((3, 6))).argsort().tolist() == [0, 1, 2]
 
 

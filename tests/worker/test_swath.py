@@ -52,9 +52,12 @@ def seen(grasps, i, points):
     return turn.apply(points) + grasps.positions[i]
 
 
-def test_more_is_in_it_or_near_it_than_in_it_and_nothing_far_away(swaths, grasps, scene):
+def test_what_is_in_it_is_more_than_what_is_so_from_opposite_sides_and_nothing_is_far_away(
+    swaths, grasps, scene
+):
     found = shares(swaths, grasps, scene.surface_points)
-    assert (found[:, 1] >= found[:, 0]).all()
+    assert (found[:, 1] <= found[:, 0]).all()
+    assert (found[:, 1] > 0).any()
     assert (found[:, 0] > 0).mean() > 0.3
     assert found.max() <= 1.0
     assert not shares(swaths, grasps, scene.surface_points + 3.0).any()
@@ -84,7 +87,7 @@ def test_it_is_measured_once_for_each_way_of_closing(swaths, grasps, scene, monk
     shares(swaths, grasps, scene.surface_points)
     synergies, places = len(scene.gripper.synergies) or 1, 5 ** len(scene.gripper.free_joints)
     assert 1 <= len(swaths._found) <= synergies * places
-    assert sum(voxels.levels.nbytes for voxels in swaths._found.values()) < 50e6
+    assert sum(swath.voxels.levels.nbytes for swath in swaths._found.values()) < 50e6
 
 
 def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_palm(make_scene):
@@ -94,9 +97,12 @@ def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_pa
     world = World(scene)
     share = partial(shares, Swaths(scene.gripper, world.closing), grasps)
     line = TIP + np.linspace(-0.035, 0.035, 50)[:, None] * (0.0, 1.0, 0.0)
-    assert share(line).tolist() == [[1.0, 1.0]]
+    [(within, opposed)] = share(line)
+    assert within == 1.0
+    assert opposed > 0.9
+    for side in (line[:20], line[-20:]):  # one finger comes first, and pushes
+        [(within, opposed)] = share(side)
+        assert within == 1.0
+        assert opposed < 0.1
     assert share(line - TIP * 1.5).tolist() == [[0.0, 0.0]]
-    beside = TIP + (0.0, 0.01, 0.0) + np.linspace(0.0, 0.03, 50)[:, None] * (1.0, 0.0, 0.0)
-    [(within, near)] = share(beside)
-    assert 0.1 < within < near - 0.05 < 0.95
     world.close()

@@ -10,8 +10,8 @@ from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.solid import Solid
 from qdgrasp_worker.swath import Swaths
 
-UNTAUGHT = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-"""The weights of a genome whose own are all zero: what is in the swath, and what is near it."""
+UNTAUGHT = np.array([0.25, 1.0, 0.0, 0.0, 0.0, 0.0])
+"""The weights of a genome whose own are all zero: what is swept, and above all from opposite sides."""
 
 
 class Ranking:

@@ -7,6 +7,7 @@ from qdgrasp_assets.rotation import Floats
 from qdgrasp_worker.convex import Hull
 
 Singles = NDArray[np.float32]
+Kind = np.uint8 | np.uint16
 
 RIM = 1
 """Cubes around the box that stay empty: whatever is outside is looked up in them."""
@@ -23,13 +24,15 @@ class Voxels:
         The corners (3,) of the box [m].
     pitch
         The side of a cube [m].
+    kind
+        What levels are kept in.
     """
 
-    def __init__(self, low: Floats, high: Floats, pitch: float) -> None:
+    def __init__(self, low: Floats, high: Floats, pitch: float, kind: type[Kind] = np.uint8) -> None:
         self.pitch = pitch
         self._low = low - RIM * pitch
         counts = np.ceil((high - low) / pitch).astype(np.int64) + 2 * RIM
-        self.levels: NDArray[np.uint8] = np.zeros(counts, dtype=np.uint8)
+        self.levels: NDArray[Kind] = np.zeros(counts, dtype=kind)
         self._origin = self._low.astype(np.float32)
         self._last = (counts - 1).astype(np.float32)
 
@@ -47,16 +50,16 @@ class Voxels:
         bottom, top = interval(hull.planes, x[:, None], y[None, :])
         inside = (z >= bottom[..., None]) & (z <= top[..., None])
         region = self.levels[first[0] : last[0], first[1] : last[1], first[2] : last[2]]
-        np.maximum(region, inside * np.uint8(level), out=region)
+        np.maximum(region, inside * self.levels.dtype.type(level), out=region)
 
-    def at(self, x: Singles, y: Singles, z: Singles) -> NDArray[np.uint8]:
+    def at(self, x: Singles, y: Singles, z: Singles) -> NDArray[Kind]:
         """The levels at points (...) [m]; 0 outside the box."""
         flat = np.zeros(x.shape, dtype=np.int32)
         for axis, values in enumerate((x, y, z)):
             place = (values - self._origin[axis]) * np.float32(1.0 / self.pitch)
             flat *= np.int32(self.levels.shape[axis])
             flat += np.clip(place, np.float32(0.0), self._last[axis]).astype(np.int32)
-        found: NDArray[np.uint8] = self.levels.ravel()[flat]
+        found: NDArray[Kind] = self.levels.ravel()[flat]
         return found
 
 
