@@ -137,7 +137,8 @@ class Aimed:
     def _scouts(self, generation: int, n: int) -> Aims:
         found = len(self._hints) > 0
         astray = 0.0 if found else min(0.5, 0.5 * self._asked / LOST)
-        return scouts(self._space, n, astray, draws(self._spec.seed, "scouts", generation))
+        loosest = 0.0 if self._candidates == 1 else 1.0
+        return scouts(self._space, n, astray, loosest, draws(self._spec.seed, "scouts", generation))
 
     def _aimed_at(self, genomes: Genomes) -> Places:
         """The cells (n,) that genomes (n, d) aim at."""

@@ -14,10 +14,10 @@ from qdgrasp_coordinator.space import Space
 NEAREST = 0.5
 """The least distance from the face, as a share of the hand's reach; hands cannot work much nearer."""
 TIGHTEST = 0.3
-"""The least looseness: the box is not the surface."""
+"""The least looseness, as a share of the greatest."""
 
 
-def scouts(space: Space, n: int, astray: float, generator: np.random.Generator) -> Aims:
+def scouts(space: Space, n: int, astray: float, loosest: float, generator: np.random.Generator) -> Aims:
     """`n` scouts.
 
     Parameters
@@ -25,13 +25,16 @@ def scouts(space: Space, n: int, astray: float, generator: np.random.Generator) 
     astray
         The share of them that aim anywhere in the archive's box, at any point: for objects that are unlike
         their boxes.
+    loosest
+        The greatest looseness of the others. Many candidates make up for a box that is not the surface; a
+        single one had better keep to its aim.
     """
     low, high = (corner[CONTACT] for corner in space.layout.intervals)
     bottom, top = (corner[TARGET] for corner in space.layout.intervals)
     contacts, outward = _on_faces(low, high, n, generator)
     distances = generator.uniform(NEAREST, 1.0, n) * float((top - high).mean())
     targets = contacts + distances[:, None] * _leaning(outward, generator)
-    looseness = generator.uniform(TIGHTEST, 1.0, n)
+    looseness = loosest * generator.uniform(TIGHTEST, 1.0, n)
     anywhere = generator.uniform(bottom, top, (n, 3))
     is_astray = generator.random(n) < astray
     return Aims(

@@ -88,6 +88,7 @@ def test_with_one_candidate_it_still_covers_more_when_overlaps_count() -> None:
     counting = spec(overlaps="count")
     rows = play(Aimed(counting, SPACE), SPACE, 2000, "count")
     assert (SPACE.layout.values(rows["genome"])[:, CANDIDATES] == 1).all()
+    assert (SPACE.layout.values(rows["genome"])[:, LOOSENESS] == 0).mean() > 0.9
     other = space("contact")
     elites = method("contact_me_scs").build(spec(population=500, overlaps="count"), other)
     assert covered(rows) > 1.5 * covered(play(elites, other, 2000, "count"))
