@@ -4,12 +4,14 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.genome import Genomes
-from qdgrasp_protocol.messages import Failure, Work
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.messages import Failure, Result, Work, short
+from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,3 +124,15 @@ def complete(rows: Rows, batch: Batch, failed: Collection[int]) -> Rows:
     rows["trial"] = batch.trials
     rows["genome"] = batch.genomes
     return rows
+
+
+def readable(result: Result, shape: Shape) -> tuple[Result, Rows]:
+    """A result and its rows; where these cannot be read, all of them failed, for that reason."""
+    rows = shape.empty(result.n)
+    if len(result.failures) == result.n:
+        return result, rows
+    try:
+        return result, unpack(rows, RESULT, result.columns, shape)
+    except MessageError as error:
+        failures = [Failure(row=row, reason=short(str(error))) for row in range(result.n)]
+        return msgspec.structs.replace(result, failures=failures), rows

@@ -9,11 +9,10 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
 
-import msgspec
 import structlog
 
 from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.batch import Settlement
+from qdgrasp_coordinator.batch import Settlement, readable
 from qdgrasp_coordinator.dispatch import Dispatch
 from qdgrasp_coordinator.figures import Figures, JobFigures, to_json
 from qdgrasp_coordinator.generation import Generation
@@ -23,25 +22,23 @@ from qdgrasp_coordinator.lanes import Lanes
 from qdgrasp_coordinator.opener import Begun, Failed, NoneLeft
 from qdgrasp_coordinator.platforms import admit
 from qdgrasp_coordinator.programme import Programme
+from qdgrasp_coordinator.reception import Reception
 from qdgrasp_coordinator.record import Record
-from qdgrasp_protocol import chunks, codec
-from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
-from qdgrasp_protocol.errors import EndedEarly, MessageError, NoReply, Refused, RunFailed
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.bus import Bus, Channel, Sample
+from qdgrasp_protocol.errors import EndedEarly, MessageError, Refused, RunFailed
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import (
     VERSION,
     Control,
-    Failure,
     Join,
     Joined,
     Message,
     Opened,
     Recorded,
     Result,
-    short,
 )
-from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
 
 log = structlog.get_logger()
 
@@ -86,6 +83,7 @@ class CoordinatorService:
         self._inbox = Inbox()
         self._doors = ExitStack()
         self._lanes = Lanes(programme, make_record, self._inbox.put, stop)
+        self._reception = Reception(self._inbox, self._lanes.scene)
         self._epoch = 0
         self._dispatch = Dispatch(0, batch_size)
         self._platform: dict[str, str] = {}
@@ -167,8 +165,8 @@ class CoordinatorService:
         enter = self._doors.enter_context
         enter(self._bus.subscribe(self._keys.result(), self._inbox.put))
         enter(self._bus.subscribe(self._keys.stat("worker/*"), self._inbox.put))
-        enter(self._bus.answer(self._keys.join, self._answer_join))
-        enter(self._bus.answer(self._keys.asset(), self._answer_asset))
+        enter(self._bus.answer(self._keys.join, self._reception.join))
+        enter(self._bus.answer(self._keys.asset(), self._reception.scene))
         enter(self._bus.watch(self._keys.worker_token(), self._token_changed))
         enter(self._bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
         enter(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
@@ -298,27 +296,7 @@ class CoordinatorService:
         if lane is not None:
             lane.record.heard(report, now)
 
-    # Questions are answered, and messages sent.
-
-    def _answer_join(self, query: Query) -> bytes:
-        """In a thread of the bus: hand the request over and wait for the answer."""
-        try:
-            request = JoinRequest(codec.decode(query.payload, Join))
-        except MessageError as error:
-            raise Refused(str(error)) from None
-        self._inbox.put(request)
-        try:
-            return request.answer.result(timeout=5.0)
-        except TimeoutError:
-            raise NoReply("the coordinator is busy") from None
-
-    def _answer_asset(self, query: Query) -> bytes:
-        """In a thread of the bus: one chunk of a scene."""
-        digest = last_chunk(query.key)
-        scene = self._lanes.scene(digest)
-        if scene is None:
-            raise Refused(f"no run in progress has the scene {digest[:12]}")
-        return chunks.answer(query, scene.payload, digest)
+    # Messages are sent.
 
     def _token_changed(self, key: str, alive: bool) -> None:
         self._inbox.put(TokenChange(key, alive))
@@ -340,15 +318,3 @@ class CoordinatorService:
     def _publish(self, what: str, figures: Figures | JobFigures) -> None:
         key = self._keys.stat(what)
         self._bus.put(key, to_json(figures), encoding="application/json", channel=Channel.MONITOR)
-
-
-def readable(result: Result, shape: Shape) -> tuple[Result, Rows]:
-    """A result and its rows; where these cannot be read, all of them failed, for that reason."""
-    rows = shape.empty(result.n)
-    if len(result.failures) == result.n:
-        return result, rows
-    try:
-        return result, unpack(rows, RESULT, result.columns, shape)
-    except MessageError as error:
-        failures = [Failure(row=row, reason=short(str(error))) for row in range(result.n)]
-        return msgspec.structs.replace(result, failures=failures), rows

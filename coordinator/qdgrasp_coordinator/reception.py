@@ -1,0 +1,61 @@
+"""The reception: answers what workers ask, in threads of the bus."""
+
+from collections.abc import Callable
+
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.inbox import Inbox, JoinRequest
+from qdgrasp_protocol import chunks, codec
+from qdgrasp_protocol.bus import Query
+from qdgrasp_protocol.errors import MessageError, NoReply, Refused
+from qdgrasp_protocol.keys import last_chunk
+from qdgrasp_protocol.messages import Join
+
+PATIENCE = 5.0  # seconds that a join waits for the coordinator's one thread
+
+
+class Reception:
+    """Hands joins over to the coordinator's one thread, and scenes out.
+
+    Parameters
+    ----------
+    scene
+        The scene of a digest, or None; called in any thread.
+    """
+
+    def __init__(self, inbox: Inbox, scene: Callable[[str], Bundle | None]) -> None:
+        self._inbox = inbox
+        self._scene = scene
+
+    def join(self, query: Query) -> bytes:
+        """Hand a request to join over, and wait for the answer.
+
+        Raises
+        ------
+        Refused
+            It is no such request, or is refused.
+        NoReply
+            The coordinator is busy.
+        """
+        try:
+            request = JoinRequest(codec.decode(query.payload, Join))
+        except MessageError as error:
+            raise Refused(str(error)) from None
+        self._inbox.put(request)
+        try:
+            return request.answer.result(PATIENCE)
+        except TimeoutError:
+            raise NoReply("the coordinator is busy") from None
+
+    def scene(self, query: Query) -> bytes:
+        """One chunk of a scene.
+
+        Raises
+        ------
+        Refused
+            No run in progress has this scene.
+        """
+        digest = last_chunk(query.key)
+        scene = self._scene(digest)
+        if scene is None:
+            raise Refused(f"no run in progress has the scene {digest[:12]}")
+        return chunks.answer(query, scene.payload, digest)
