@@ -1,10 +1,12 @@
 """A run of the method that keeps most in mind, with the prior that looks farthest."""
 
+import pytest
 from tests.system.commands import SMALL
 
 OPTIONS = (*SMALL, "--method", "antipodal_cma_mae")
 
 
+@pytest.mark.slow
 def test_a_run_that_is_extended_is_the_longer_run(qdgrasp):
     for out, budget, workers in (("long", 150, 2), ("short", 70, 1)):
         done = qdgrasp("run", *OPTIONS, "--evaluations", budget, "--workers", workers, "--out", out)

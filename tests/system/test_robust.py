@@ -67,6 +67,7 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
     assert (info["method"], info["evaluations"], info["trials"]) == ("given", 3, 300)
 
 
+@pytest.mark.slow
 def test_a_reranking_that_is_killed_goes_on_elsewhere_as_a_run_and_is_ranked(qdgrasp, reference):
     folder = qdgrasp.home / "again"
     process = qdgrasp.start("rerank", reference[0], "--top", 4, "--workers", 2, "--out", "again")
