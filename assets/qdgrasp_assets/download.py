@@ -112,7 +112,7 @@ def _opened(url: str, part: Path, patience: float) -> Iterator[Any]:
             headers["If-Range"] = mark
     request = urllib.request.Request(url, headers=headers)  # noqa: S310  # `download` takes http and https
     try:
-        with urllib.request.urlopen(request, timeout=patience) as response:  # noqa: S310
+        with urllib.request.urlopen(request, timeout=patience) as response:  # noqa: S310  # as above
             yield response
     except urllib.error.HTTPError as error:
         if error.code != http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:

@@ -30,7 +30,7 @@ def exclusive(folder: Path, name: str = FILE) -> Iterator[None]:
         while not _taken(file):
             if time.monotonic() > deadline:
                 raise _in_use(folder, file)
-            time.sleep(INTERVAL)
+            time.sleep(INTERVAL)  # the kernel wakes nobody who only tries
         with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
             file.truncate(0)
             file.write(str(os.getpid()))
