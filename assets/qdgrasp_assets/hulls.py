@@ -14,12 +14,12 @@ import numpy as np
 
 from qdgrasp_assets.mesh import Floats
 from qdgrasp_assets.objects.solids import geodesic
-from qdgrasp_assets.shapes import numbers, origin
-from qdgrasp_assets.urdf import Urdf
+from qdgrasp_assets.shapes import numbers
+from qdgrasp_assets.stl import triangles
+from qdgrasp_assets.urdf import Urdf, origin
 
 SIDES = 16
 """Of the prism within a cylinder; the simulator's has 32, with these among its edges."""
-HEADER, TRIANGLE = 84, 50  # bytes of a binary STL
 CONCAVE = "concave"
 """The attribute of a collision shape that the simulator takes as bare triangles, which have no inside."""
 STARTS = frozenset({"o", "g", "usemtl"})
@@ -44,7 +44,7 @@ def convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Part]:
                 continue
             if collision.get(CONCAVE) is not None:
                 continue
-            frame = origin(collision.find("origin"))
+            frame = origin(robot.path, collision.find("origin"))
             for corners in FORMS[geometry[0].tag](geometry[0], files):
                 yield Part(link.get("name", ""), corners @ frame[:3, :3].T + frame[:3, 3])
 
@@ -69,11 +69,9 @@ def groups(obj: str) -> Iterator[Floats]:
 
 def _stl(content: bytes) -> Iterator[Floats]:
     """The corners of all triangles of an STL file, as one part."""
-    count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
-    if len(content) == HEADER + TRIANGLE * count:
-        triangles = np.frombuffer(content, np.uint8, offset=HEADER).reshape(-1, TRIANGLE)
-        corners = np.ascontiguousarray(triangles[:, 12:48]).view("<f4").reshape(-1, 3)
-        yield np.unique(corners.astype(np.float64), axis=0)
+    corners = triangles(content)
+    if corners is not None:
+        yield np.unique(corners.reshape(-1, 3), axis=0)
 
 
 def _obj(content: bytes) -> Iterator[Floats]:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.mesh import Floats
-from qdgrasp_assets.urdf import Urdf
+from qdgrasp_assets.mesh import Floats, Mesh
+from qdgrasp_assets.stl import triangles
+from qdgrasp_assets.urdf import Urdf, origin
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Shape]:
             if geometry is None or not len(geometry):
                 continue
             mesh = FORMS[geometry[0].tag](geometry[0], files)
-            mesh.merge_vertices(merge_tex=True, merge_norm=True)
-            mesh.apply_transform(origin(collision.find("origin")))
-            yield Shape(link.get("name", ""), np.array(mesh.vertices), np.array(mesh.faces))
+            frame = origin(robot.path, collision.find("origin"))
+            placed = mesh.vertices @ frame[:3, :3].T + frame[:3, 3]
+            yield Shape(link.get("name", ""), placed, mesh.faces)
 
 
 def largest_side(robot: Urdf, files: Mapping[str, bytes]) -> float:
@@ -49,45 +49,49 @@ def largest_side(robot: Urdf, files: Mapping[str, bytes]) -> float:
     return float(np.ptp(np.concatenate(corners), axis=0).max()) if corners else 0.0
 
 
-def _mesh(element: ET.Element, files: Mapping[str, bytes]) -> Any:
-    import trimesh
-
+def _mesh(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
     name = element.get("filename", "")
-    kind = PurePosixPath(name).suffix.removeprefix(".").lower()
-    mesh = trimesh.load_mesh(io.BytesIO(files[name]), file_type=kind)
-    mesh.vertices *= numbers(element, "scale", "1 1 1")
-    return mesh
+    mesh = _read(files[name], PurePosixPath(name).suffix.removeprefix(".").lower())
+    return Mesh(mesh.vertices * numbers(element, "scale", "1 1 1"), mesh.faces)
 
 
-def _box(element: ET.Element, _: Mapping[str, bytes]) -> Any:
+def _read(content: bytes, kind: str) -> Mesh:
+    """A mesh file, coincident vertices merged."""
+    corners = triangles(content) if kind == "stl" else None
+    if corners is not None:
+        vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+        return Mesh(vertices, faces.reshape(-1, 3).astype(np.int64))
     import trimesh
 
-    return trimesh.creation.box(numbers(element, "size", "0 0 0"))
+    return _plain(trimesh.load_mesh(io.BytesIO(content), file_type=kind))
 
 
-def _cylinder(element: ET.Element, _: Mapping[str, bytes]) -> Any:
+def _box(element: ET.Element, _: Mapping[str, bytes]) -> Mesh:
     import trimesh
 
-    return trimesh.creation.cylinder(float(element.get("radius", 0)), float(element.get("length", 0)))
+    return _plain(trimesh.creation.box(numbers(element, "size", "0 0 0")))
 
 
-def _sphere(element: ET.Element, _: Mapping[str, bytes]) -> Any:
+def _cylinder(element: ET.Element, _: Mapping[str, bytes]) -> Mesh:
     import trimesh
 
-    return trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0)))
+    return _plain(trimesh.creation.cylinder(float(element.get("radius", 0)), float(element.get("length", 0))))
+
+
+def _sphere(element: ET.Element, _: Mapping[str, bytes]) -> Mesh:
+    import trimesh
+
+    return _plain(trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0))))
+
+
+def _plain(mesh: Any) -> Mesh:
+    """A mesh of trimesh's as one of ours."""
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return Mesh(np.array(mesh.vertices), np.array(mesh.faces))
 
 
 FORMS = {"mesh": _mesh, "box": _box, "cylinder": _cylinder, "sphere": _sphere}
 """The geometries of URDF."""
-
-
-def origin(element: ET.Element | None) -> Floats:
-    """The frame (4, 4) that an `<origin>` stands for."""
-    frame = np.eye(4)
-    if element is not None:
-        frame[:3, :3] = Rotation.from_euler("xyz", numbers(element, "rpy", "0 0 0")).as_matrix()
-        frame[:3, 3] = numbers(element, "xyz", "0 0 0")
-    return frame
 
 
 def numbers(element: ET.Element, name: str, default: str) -> list[float]:

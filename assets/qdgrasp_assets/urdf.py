@@ -78,7 +78,7 @@ class Urdf:
 
     def _mass(self, link: ET.Element) -> tuple[float, Floats]:
         mass = link.find("inertial/mass")
-        place = _origin(self.path, link.find("inertial/origin"))[:3, 3]
+        place = origin(self.path, link.find("inertial/origin"))[:3, 3]
         return (1.0, np.zeros(3)) if mass is None else (_number(self.path, mass, "value"), place)
 
     def joint(self, name: str) -> UrdfJoint | None:
@@ -208,7 +208,7 @@ def _joint(path: Path, element: ET.Element) -> UrdfJoint:
         kind=element.get("type", ""),
         parent=_end(element, "parent"),
         child=_end(element, "child"),
-        origin=_origin(path, element.find("origin")),
+        origin=origin(path, element.find("origin")),
         axis=_axis(path, element.find("axis")),
         **limits,
     )
@@ -237,7 +237,14 @@ def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[flo
     return values
 
 
-def _origin(path: Path, element: ET.Element | None) -> Floats:
+def origin(path: Path, element: ET.Element | None) -> Floats:
+    """The frame (4, 4) that an `<origin>` stands for.
+
+    Raises
+    ------
+    AssetError
+        It does not hold three numbers each.
+    """
     if element is None:
         return np.eye(4)
     place = np.array(_numbers(path, element, "xyz", 3)) if element.get("xyz") else np.zeros(3)

@@ -14,6 +14,7 @@ import qdgrasp_assets.objects.solids
 import qdgrasp_assets.rotation
 import qdgrasp_assets.scene
 import qdgrasp_assets.shapes
+import qdgrasp_assets.stl
 import qdgrasp_assets.urdf
 import qdgrasp_protocol.genome
 import qdgrasp_protocol.outcome
@@ -34,6 +35,7 @@ CONTRACTS = (
     qdgrasp_assets.rotation,
     qdgrasp_assets.scene,
     qdgrasp_assets.shapes,
+    qdgrasp_assets.stl,
     qdgrasp_assets.urdf,
     qdgrasp_protocol.genome,
     qdgrasp_protocol.outcome,
