@@ -3,6 +3,7 @@
 import msgspec
 from msgspec import Struct
 
+from qdgrasp_coordinator.analysis.diversity import Diversity, diversity, niche_archive
 from qdgrasp_coordinator.analysis.metrics import Eta, Lean, Metrics
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.tally import tally
@@ -38,6 +39,8 @@ class Summary(Struct, frozen=True, kw_only=True):
     """Successes that survived both nominal shakes."""
     cells: int
     """Distinct 1 cm cells with a success."""
+    diversity: Diversity
+    """Niches of position, orientation and synergy with a success."""
     qd_score: float
     """The best fitness in each of these cells, summed. Fitness is what the search hears: see `Metrics`."""
     success_share: float | None
@@ -73,7 +76,7 @@ class Summary(Struct, frozen=True, kw_only=True):
         """All figures, one to a line."""
         values = msgspec.structs.asdict(self)
         platform = values.pop("platform")
-        values["nu"] = self.nu.words
+        values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
         lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
         lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
@@ -84,8 +87,8 @@ def summary(folder: RunFolder) -> Summary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        metrics = Metrics(trials(spec.protocol))
-        found = tally(spec, metrics.counting(journal.blocks()))
+        metrics, archive = Metrics(trials(spec.protocol)), niche_archive(folder)
+        found = tally(spec, metrics.counting(archive.inserting(journal.blocks())))
         return Summary(
             gripper=spec.gripper,
             object=spec.object,
@@ -104,6 +107,7 @@ def summary(folder: RunFolder) -> Summary:
             grasps=found.grasps,
             robust=found.robust,
             cells=found.cells,
+            diversity=diversity(archive),
             qd_score=metrics.qd_score,
             success_share=found.successes / found.evaluations if found.evaluations else None,
             mean_fitness=metrics.mean_fitness,

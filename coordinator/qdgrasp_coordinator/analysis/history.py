@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qdgrasp_coordinator.analysis.diversity import Diversity, diversity, niche_archive
 from qdgrasp_coordinator.analysis.growth import first_times
 from qdgrasp_coordinator.analysis.metrics import NEAR, Metrics
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
@@ -129,6 +130,8 @@ class History:
     """Those of fitness 2, found with fitness 2."""
     published: Steps | None
     """Entries as the released code counts them; None for a hand that it does not have."""
+    diversity: Diversity
+    """As `info` prints it."""
     qd_score: float
     """As `info` prints it."""
     nu: NDArray[np.int64]
@@ -163,8 +166,9 @@ def history(folder: RunFolder, target: Target) -> History:
     """Read what a run found, also while it goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        metrics, found = Metrics(trials(spec.protocol)), list[Finds]()
-        total = tally(spec, metrics.counting(_finding(journal.blocks(), spec.overlaps, found)))
+        metrics, kept, found = Metrics(trials(spec.protocol)), niche_archive(folder), list[Finds]()
+        blocks = kept.inserting(_finding(journal.blocks(), spec.overlaps, found))
+        total = tally(spec, metrics.counting(blocks))
         finds = joined(found, journal.shape.empty(0))
         cpu_seconds = journal.cpu_seconds
     known, archive = target.reference, target.archive
@@ -180,6 +184,7 @@ def history(folder: RunFolder, target: Target) -> History:
         found=None if known is None else finds.found(known),
         robust_found=None if known is None else finds.found(known.robust, fitness=2),
         published=None if known is None or archive is None else finds.published(known, archive),
+        diversity=diversity(kept),
         qd_score=metrics.qd_score,
         nu=np.histogram(finds.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
         near=int(np.count_nonzero(finds.nu < NEAR)),

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 
 from qdgrasp_assets.scene import Scene, pack_scene
+from qdgrasp_coordinator.analysis.diversity import Diversity
 from qdgrasp_coordinator.analysis.history import NU_BINS, History, Steps
 from qdgrasp_coordinator.analysis.target import Target
 from qdgrasp_coordinator.folder import RunFolder
@@ -19,6 +20,7 @@ from qdgrasp_protocol.spec import RunSpec, to_toml
 
 SHAPE = Shape(genes=2, joints=2)
 NOTHING = Steps(np.zeros(0, np.int64), np.zeros(0, np.int64))
+UNIFORM = Diversity(niches=0, grasp_niches=0, robust_niches=0, orientations=None, synergies=None)
 
 
 def random_rows(n: int, seed: int = 0, reach: float = 0.1) -> Rows:
@@ -61,7 +63,8 @@ def made(method: str, cells: Steps, seed: int = 0, evaluations: int = 100, **dif
     fields: dict[str, Any] = {
         "path": Path(f"{method}-s{seed}"), "spec": spec, "target": Target(why="no S_G"),
         "evaluations": evaluations, "complete": evaluations >= 100, "successes": cells.end, "cells": cells,
-        "robust_cells": NOTHING, "found": None, "robust_found": None, "published": None, "qd_score": 0.0,
+        "robust_cells": NOTHING, "found": None, "robust_found": None, "published": None,
+        "diversity": UNIFORM, "qd_score": 0.0,
         "nu": np.zeros(NU_BINS, np.int64), "near": 0, "eta": None, "cpu_seconds": 1.0,
     }  # fmt: skip
     return History(**fields | differing)
