@@ -85,8 +85,9 @@ def spread(points: Floats) -> NDArray[np.int64]:
     """Choose at most 1024 of `points` (n, 3): each is the one farthest from those before it."""
     chosen = np.zeros(min(POINTS, len(points)), dtype=np.int64)
     distances = np.full(len(points), np.inf)
+    columns = np.ascontiguousarray(points.T)
     for i in range(1, len(chosen)):
-        offset = points - points[chosen[i - 1]]
-        np.minimum(distances, (offset * offset).sum(axis=1), out=distances)
+        x, y, z = columns - columns[:, chosen[i - 1], None]
+        np.minimum(distances, x * x + y * y + z * z, out=distances)
         chosen[i] = distances.argmax()
     return chosen
