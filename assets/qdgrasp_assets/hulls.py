@@ -13,6 +13,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from qdgrasp_assets.mesh import Floats
+from qdgrasp_assets.obj import read_obj
 from qdgrasp_assets.objects.solids import geodesic
 from qdgrasp_assets.shapes import numbers
 from qdgrasp_assets.stl import triangles
@@ -22,8 +23,6 @@ SIDES = 16
 """Of the prism within a cylinder; the simulator's has 32, with these among its edges."""
 CONCAVE = "concave"
 """The attribute of a collision shape that the simulator takes as bare triangles, which have no inside."""
-STARTS = frozenset({"o", "g", "usemtl"})
-"""Words of an OBJ that may begin another group."""
 
 
 @dataclass(frozen=True)
@@ -51,20 +50,9 @@ def convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Part]:
 
 def groups(obj: str) -> Iterator[Floats]:
     """The corners (v, 3) of each group of an OBJ file that has triangles."""
-    vertices: list[list[float]] = []
-    used: list[set[int]] = [set()]
-    for line in obj.splitlines():
-        word, *values = line.split() or [""]
-        if word == "v":
-            vertices.append([float(value) for value in values[:3]])
-        elif word == "f":
-            named = (int(value.split("/")[0]) for value in values)
-            used[-1].update(number - 1 if number > 0 else len(vertices) + number for number in named)
-        elif word in STARTS:
-            used.append(set())
-    for group in used:
-        if group:
-            yield np.array(vertices)[sorted(group)]
+    read = read_obj(obj)
+    for group in read.groups:
+        yield read.vertices[np.unique(group)]
 
 
 def _stl(content: bytes) -> Iterator[Floats]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.obj import read_obj
 from qdgrasp_protocol.errors import AssetError
 
 Floats = NDArray[np.float64]
@@ -15,6 +16,8 @@ log = logging.getLogger(__name__)
 
 LARGEST = 2.0  # m: what a hand could grasp is smaller, so a larger mesh was drawn in millimetres
 FLATTEST = 1e-12  # m3: a closed mesh with less volume has no inside
+PART = frozenset({"o"})
+"""What begins a convex part in an OBJ file."""
 
 
 @dataclass(frozen=True)
@@ -190,17 +193,8 @@ def read_parts(path: Path) -> tuple[Mesh, ...]:
 
 
 def _parts(text: str) -> tuple[Mesh, ...]:
-    vertices: list[list[float]] = []
-    groups: list[list[list[int]]] = []
-    for line in text.splitlines():
-        word, *values = line.split() or [""]
-        if word == "v":
-            vertices.append([float(value) for value in values[:3]])
-        elif word == "o" or (word == "f" and not groups):
-            groups.append([])
-        if word == "f":
-            groups[-1].append([int(value.split("/")[0]) - 1 for value in values[:3]])
-    return tuple(_part(np.array(vertices), np.array(group)) for group in groups if group)
+    read = read_obj(text, PART)
+    return tuple(_part(read.vertices, group) for group in read.groups)
 
 
 def _part(vertices: Floats, faces: NDArray[np.int64]) -> Mesh:

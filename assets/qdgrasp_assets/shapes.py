@@ -2,7 +2,7 @@
 
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.mesh import Floats, Mesh
+from qdgrasp_assets.obj import read_obj
 from qdgrasp_assets.stl import triangles
 from qdgrasp_assets.urdf import Urdf, origin
 
@@ -56,14 +57,24 @@ def _mesh(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
 
 
 def _read(content: bytes, kind: str) -> Mesh:
-    """A mesh file, coincident vertices merged."""
-    corners = triangles(content) if kind == "stl" else None
+    """A mesh file, coincident vertices merged; Collada and others by trimesh, which takes long to import."""
+    corners = READERS[kind](content) if kind in READERS else None
     if corners is not None:
         vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         return Mesh(vertices, faces.reshape(-1, 3).astype(np.int64))
     import trimesh
 
     return _plain(trimesh.load_mesh(io.BytesIO(content), file_type=kind))
+
+
+def _obj(content: bytes) -> Floats:
+    """The corners (f, 3, 3) of the triangles of an OBJ file."""
+    read = read_obj(content.decode("utf-8", "replace"))
+    return np.concatenate([read.vertices[group] for group in read.groups])
+
+
+READERS: dict[str, Callable[[bytes], Floats | None]] = {"stl": triangles, "obj": _obj}
+"""What is read here."""
 
 
 def _box(element: ET.Element, _: Mapping[str, bytes]) -> Mesh:

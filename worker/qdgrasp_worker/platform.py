@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import qdgrasp_assets.genes
 import qdgrasp_assets.hulls
+import qdgrasp_assets.obj
 import qdgrasp_assets.objects.solids
 import qdgrasp_assets.rotation
 import qdgrasp_assets.scene
@@ -31,6 +32,7 @@ SERVING = frozenset({"cli", "desk", "bundles", "platform", "service"})
 CONTRACTS = (
     qdgrasp_assets.genes,
     qdgrasp_assets.hulls,
+    qdgrasp_assets.obj,
     qdgrasp_assets.objects.solids,
     qdgrasp_assets.rotation,
     qdgrasp_assets.scene,
