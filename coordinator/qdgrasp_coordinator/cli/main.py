@@ -7,6 +7,7 @@ import typer
 from qdgrasp_coordinator.cli import (
     analyse,
     asset,
+    bench,
     campaign,
     coverage,
     digest,
@@ -36,6 +37,7 @@ app.command()(analyse.analyse)
 app.command()(rerank.rerank)
 app.command()(methods.methods)
 app.command()(doctor.doctor)
+app.command()(bench.bench)
 app.add_typer(asset.app, name="asset")
 app.add_typer(reference.app, name="reference")
 
