@@ -9,7 +9,6 @@ import typer
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator import preparation
 from qdgrasp_coordinator.analysis.harvest import identity
-from qdgrasp_coordinator.analysis.table import orientation, table_under
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out
 from qdgrasp_coordinator.cli.run import finish
@@ -85,6 +84,8 @@ def _chosen(source: RunFolder, top: int, object_pose: str | None) -> Rows:
     if not len(found):
         raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
     if object_pose is not None:
+        from qdgrasp_coordinator.analysis.table import orientation, table_under  # scipy takes its time
+
         scene = source.scene()
         table = table_under(scene, orientation(object_pose))
         found = found[table.is_clear_of(scene, method(source.spec.method).prior, found)]
