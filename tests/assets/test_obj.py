@@ -5,7 +5,7 @@ import pytest
 
 from qdgrasp_assets.obj import read_obj
 
-SQUARES = (
+SQUARES = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1/1 2/2/2 3//3 4\ng none\no two\nv 0 0 1\nf -1 -3 -2\n"
     "o one\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1/1 2/2/2 3//3 4\ng none\no two\nv 0 0 1\nf -1 -3 -2\n"
 )
 
@@ -24,5 +24,5 @@ def test_only_the_words_that_are_named_begin_a_group() -> None:
 
 @pytest.mark.parametrize("text", ["v zero 0 0\n", "v 0 0 0\nf a b c\n"])
 def test_what_is_no_obj_file_is_an_error(text) -> None:
-    with pytest.raises(ValueError, match="could not convert|invalid literal"):
+    with pytest.raises(ValueError, match=r"could not convert|invalid literal"):
         read_obj(text)
