@@ -10,6 +10,8 @@ New in this project, not from the paper. What selects is success alone; where th
 the tries go to cells whose grasp is not robust, beside one that is better.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from qdgrasp_assets.genes import MOST_CANDIDATES
@@ -20,6 +22,7 @@ from qdgrasp_coordinator.searches.frontier import Frontier, Places
 from qdgrasp_coordinator.searches.hints import Hints
 from qdgrasp_coordinator.searches.ranker import Ranker
 from qdgrasp_coordinator.searches.scouts import scouts
+from qdgrasp_coordinator.searches.spare import Spare
 from qdgrasp_coordinator.space import Space
 from qdgrasp_protocol.genome import Genomes, Layout
 from qdgrasp_protocol.outcome import Outcome
@@ -36,12 +39,21 @@ REDRAWN = 0.15
 """The probability that a synergy is drawn anew."""
 DRIFT = 0.05
 """How far free joints move from their neighbour's: standard deviation, in genes."""
-POOR = 0.05
-"""What an empty cell must be worth; for less, a weak grasp is tried again."""
-AGAIN = 0.5
-"""The greatest share of a generation for weak grasps."""
 SAME = 0.1
 """Grasps whose ranks differ by less are taken for equally good."""
+
+
+@dataclass(frozen=True)
+class Taught:
+    """What the models of a search know before it has tried anything: weights, or None."""
+
+    frontier: Floats | None = None
+    """(4,): of `frontier.FEATURES`."""
+    ranker: Floats | None = None
+    """(6,): of the features of the prior `aimed`."""
+
+
+UNTAUGHT = Taught()
 
 
 class Aimed:
@@ -53,14 +65,17 @@ class Aimed:
         Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
     space
         Of the prior `aimed`.
+    taught
+        What both models know from the beginning.
     """
 
-    def __init__(self, spec: RunSpec, space: Space) -> None:
+    def __init__(self, spec: RunSpec, space: Space, taught: Taught = UNTAUGHT) -> None:
         self._spec = spec
         self._space = space
-        self._frontier = Frontier(space.box)
+        self._frontier = Frontier(space.box, taught.frontier)
         self._hints = Hints(self._frontier.size, space.approach_axis, space.genes - OWN)
-        self._ranker = Ranker()
+        self._ranker = Ranker(taught.ranker)
+        self._spare = Spare(self._frontier, self._hints)
         self._open: dict[int, Floats] = {}
         """Of generations that are not told yet, what was known of the empty cells that they aim at."""
         self._counts_all = spec.overlaps == "count"
@@ -103,10 +118,8 @@ class Aimed:
         generator = draws(self._spec.seed, "targets", generation)
         n = int(np.count_nonzero(generator.random(self._spec.population) >= SCOUTS))
         best = self._frontier.best(n, generator)
-        is_poor = self._frontier.worth(best) < POOR
-        spare = min(int(np.count_nonzero(is_poor)), int(AGAIN * n))
-        weak = self._frontier.rarest(self._hints.weak, spare, generator)
-        return np.concatenate([self._frontier.best(len(best) - len(weak), generator, best), weak])
+        spare = self._spare.targets(best, n, generator)
+        return np.concatenate([self._frontier.best(len(best) - len(spare), generator, best), spare])
 
     def _aimed(self, targets: Places, generation: int) -> Aims:
         """The grasps of neighbours, for the cells `targets`."""

@@ -20,6 +20,8 @@ DECIMETRE = 0.1
 """The unit of distances as features [m]: what a hand is from what it grasps."""
 DEAD_END = 0.5
 """What a dead end weighs against a try: it costs no simulation, and the next draw may be none."""
+FEATURES = ("distance", "distance squared", "share of neighbours", "constant")
+"""What is known of an empty cell beside a success."""
 NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
 """(26, 3): the steps from a cell to those around it."""
 
@@ -34,9 +36,11 @@ class Frontier:
     ----------
     box
         The box of positions, enlarged to whole cells.
+    weights
+        (4,): how likely a success is, by `FEATURES`, until it is learned here; None: by neighbours alone.
     """
 
-    def __init__(self, box: Box) -> None:
+    def __init__(self, box: Box, weights: Floats | None = None) -> None:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         self._shape = tuple(
             (self._high - self._low + 3).tolist()
@@ -48,7 +52,7 @@ class Frontier:
         self._successful = np.zeros(size, np.bool_)
         self._neighbours = np.zeros(size, np.uint8)
         self._distances = np.full(size, np.inf, np.float32)
-        self._model = Logistic(4)
+        self._model = Logistic(len(FEATURES), weights)
         self._within = np.zeros(self._shape, np.bool_)
         self._within[1:-1, 1:-1, 1:-1] = True
         self._within = self._within.reshape(-1)
@@ -125,7 +129,7 @@ class Frontier:
     def worth(self, places: Places) -> Floats:
         """What a try in each of `places` (n,) promises, 0 to 1; by neighbours alone until a fit."""
         features = self.features(places)
-        likely = self._model.likely(features) if self._model.is_fitted else (1.0 + features[:, 2]) / 2.0
+        likely = self._model.likely(features) if self._model.is_taught else (1.0 + features[:, 2]) / 2.0
         worth: Floats = likely / (self._spent(places) + 1.0)
         return worth
 

@@ -13,27 +13,35 @@ FEW = 10
 """So many successes and so many failures must be there before the first fit."""
 NEWTON_STEPS = 5
 RIDGE = 1.0
-"""Precision of the weights' prior, N(0, 1 / RIDGE); it keeps a fit finite when features tell all."""
+"""Precision of the weights' prior, N(mean, 1 / RIDGE); it keeps a fit finite when features tell all."""
 GRAIN = 64
 """Weights are whole multiples of 1 / GRAIN: the last bits of a fit, which differ between processors, do not
 reach the genomes."""
 
 
 class Logistic:
-    """How likely a success is, given `features` numbers, the last of which is constant."""
+    """How likely a success is, given `features` numbers, the last of which is constant.
 
-    def __init__(self, features: int) -> None:
-        self.weights: Floats = np.zeros(features)
-        """One for each feature, in whole grains; zeros before the first fit."""
+    Parameters
+    ----------
+    start
+        (features,): the weights until the first fit, and the mean of their prior in all fits; None: zeros.
+    """
+
+    def __init__(self, features: int, start: Floats | None = None) -> None:
+        self._start: Floats = np.zeros(features) if start is None else _in_grains(start)
+        self.weights: Floats = self._start
+        """One for each feature, in whole grains."""
+        self._is_taught = start is not None
         self._features = np.zeros((MEMORY, features))
         self._successes = np.zeros(MEMORY, np.bool_)
         self._heard = 0
         self._fitted = 0
 
     @property
-    def is_fitted(self) -> bool:
+    def is_taught(self) -> bool:
         """Whether it says anything yet."""
-        return self._fitted > 0
+        return self._is_taught or self._fitted > 0
 
     def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
         """Hear of examples: features (n, k) and which of them were successes."""
@@ -44,26 +52,31 @@ class Logistic:
         known = min(self._heard, MEMORY)
         if self._heard - self._fitted >= PATIENCE and _is_telling(self._successes[:known]):
             self._fitted = self._heard
-            self.weights = np.rint(fit(self._features[:known], self._successes[:known]) * GRAIN) / GRAIN
+            self.weights = _in_grains(fit(self._features[:known], self._successes[:known], self._start))
 
     def likely(self, features: Floats) -> Floats:
         """The probability (n,) of success for features (n, k)."""
         return _likely(features, self.weights)
 
 
-def fit(features: Floats, successes: NDArray[np.bool_]) -> Floats:
-    """The weights (k,) of features (n, k), by Newton's method from zero.
+def fit(features: Floats, successes: NDArray[np.bool_], mean: Floats) -> Floats:
+    """The weights (k,) of features (n, k), by Newton's method from zero, `mean` (k,) being their prior's.
 
     Sums are einsum's own loops: no matrix library with threads, for so little.
     """
     weights = np.zeros(features.shape[1])
     for _ in range(NEWTON_STEPS):
         likely = _likely(features, weights)
-        gradient = np.einsum("nk,n->k", features, successes - likely) - RIDGE * weights
+        gradient = np.einsum("nk,n->k", features, successes - likely) - RIDGE * (weights - mean)
         scaled = features * (likely * (1.0 - likely))[:, None]
         curvature = np.einsum("nk,nl->kl", scaled, features) + RIDGE * np.eye(len(weights))
         weights = weights + np.linalg.solve(curvature, gradient)
     return weights
+
+
+def _in_grains(weights: Floats) -> Floats:
+    grains: Floats = np.rint(weights * GRAIN) / GRAIN
+    return grains
 
 
 def _likely(features: Floats, weights: Floats) -> Floats:

@@ -10,14 +10,20 @@ from qdgrasp_protocol.rows import Rows
 
 
 class Ranker:
-    """A logistic regression of success on the features that the prior `aimed` tells of the pose it took."""
+    """A logistic regression of success on the features that the prior `aimed` tells of the pose it took.
 
-    def __init__(self) -> None:
-        self._model = Logistic(len(FEATURES))
+    Parameters
+    ----------
+    weights
+        (6,): what it begins with; None: nothing.
+    """
+
+    def __init__(self, weights: Floats | None = None) -> None:
+        self._model = Logistic(len(FEATURES), weights)
 
     @property
     def weights(self) -> Floats:
-        """One for each feature, as their genes can carry them; zeros before the first fit."""
+        """One for each feature, as their genes can carry them; zeros where it was taught nothing yet."""
         return bearable(self._model.weights)
 
     def learn(self, simulated: Rows) -> None:

@@ -12,7 +12,7 @@ from tests.coordinator.make_believe import covered, evaluate, play, shape, space
 from qdgrasp_coordinator.cells import cells
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import method
-from qdgrasp_coordinator.searches import aimed
+from qdgrasp_coordinator.searches import aimed, spare
 from qdgrasp_coordinator.searches.aimed import START, Aimed
 from qdgrasp_coordinator.searches.aims import CANDIDATES, LOOSENESS, TARGET
 from qdgrasp_protocol.outcome import Outcome
@@ -175,7 +175,7 @@ def test_synergies_are_inherited_but_for_some_and_free_joints_drift() -> None:
 
 def test_weak_grasps_are_tried_again_where_the_frontier_is_poor(monkeypatch: pytest.MonkeyPatch) -> None:
     def again(poor: float) -> float:
-        monkeypatch.setattr(aimed, "POOR", poor)
+        monkeypatch.setattr(spare, "POOR", poor)
         rows = play(search(), SPACE, 1000)
         first = np.unique(cells(rows["descriptor"][rows["outcome"] >= Outcome.DROPPED][:, :3]), axis=0)
         return np.count_nonzero(rows["outcome"] >= Outcome.DROPPED) / len(first)

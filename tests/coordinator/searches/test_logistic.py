@@ -6,6 +6,7 @@ import pytest
 from qdgrasp_coordinator.searches.logistic import FEW, GRAIN, PATIENCE, Logistic, fit
 
 TRUE = np.array([3.0, -1.0, 0.5, 0.0, -2.0, 0.7])
+UNKNOWN = np.zeros(6)
 
 
 def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -16,12 +17,12 @@ def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_fit_finds_the_weights_that_made_the_successes() -> None:
-    assert fit(*poses(20_000)) == pytest.approx(TRUE, abs=0.15)
+    assert fit(*poses(20_000), UNKNOWN) == pytest.approx(TRUE, abs=0.15)
 
 
 def test_features_that_tell_everything_leave_it_finite() -> None:
     features, _ = poses(500)
-    weights = fit(features, features[:, 0] > 0)
+    weights = fit(features, features[:, 0] > 0, UNKNOWN)
     assert np.isfinite(weights).all()
     assert weights[0] > 3 * np.abs(weights[1:]).max()
 
@@ -30,10 +31,10 @@ def test_nothing_is_learned_of_one_kind_of_outcome() -> None:
     model = Logistic(6)
     features, _ = poses(PATIENCE * 2)
     model.learn(features, np.ones(len(features), bool))
-    assert not model.is_fitted
+    assert not model.is_taught
     assert not model.weights.any()
     model.learn(features[:FEW], np.zeros(FEW, bool))
-    assert model.is_fitted
+    assert model.is_taught
     assert model.weights.any()
 
 
@@ -71,3 +72,16 @@ def test_weights_are_whole_grains() -> None:
     model = Logistic(6)
     model.learn(*poses(PATIENCE))
     assert (model.weights * GRAIN == np.rint(model.weights * GRAIN)).all()
+
+
+def test_what_it_is_taught_holds_until_examples_say_otherwise() -> None:
+    taught, untaught = Logistic(6, TRUE), Logistic(6)
+    features, successes = poses(PATIENCE)
+    assert taught.is_taught
+    assert taught.likely(features) == pytest.approx(1 / (1 + np.exp(-features @ TRUE)), abs=0.02)
+    taught.learn(features, successes)
+    untaught.learn(features, successes)
+    assert np.abs(taught.weights - TRUE).max() < np.abs(untaught.weights - TRUE).max()
+    for _ in range(8):
+        taught.learn(features, ~successes)
+    assert taught.weights[0] < 0
