@@ -5,9 +5,16 @@ import pytest
 
 from qdgrasp_assets.obj import read_obj
 
-SQUARES = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1/1 2/2/2 3//3 4\ng none\no two\nv 0 0 1\nf -1 -3 -2\n"
-    "o one\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1/1 2/2/2 3//3 4\ng none\no two\nv 0 0 1\nf -1 -3 -2\n"
-)
+SQUARES = """v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+f 1/1 2/2/2 3//3 4
+g none
+o two
+v 0 0 1
+f -1 -3 -2
+"""
 
 
 def test_a_face_of_four_corners_is_two_triangles_and_negative_numbers_count_from_the_end() -> None:
