@@ -30,7 +30,7 @@ from qdgrasp_coordinator.preparation import full_spec, located
 from qdgrasp_coordinator.search import method
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded, UnknownKey
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import RunSpec, read_run_spec
+from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec, read_run_spec
 
 SHORT = {
     "mutation_sigma": "sigma",
@@ -43,6 +43,9 @@ SHORT = {
 """How keys are called in the names of runs, where not by themselves."""
 NAMED = ("gripper", "object", "method", "seed")
 """What every run's name begins with; these must be said."""
+USUAL = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
+"""What a run of a campaign has unless the file says otherwise. A second generation in flight keeps the
+workers of a single run busy; here other runs do, and a search that hears all it asked aims better."""
 LONGEST = 64
 KEYS = frozenset({"prefer_scans", "defaults", "cross"})
 
@@ -80,15 +83,20 @@ class Campaign:
         return "; ".join(parts) + "."
 
 
-def read_campaign(path: Path) -> Campaign:
+def read_campaign(path: Path, *, here: bool = True) -> Campaign:
     """The campaign in a TOML file.
+
+    Parameters
+    ----------
+    here
+        Whether its grippers and objects must be on this machine.
 
     Raises
     ------
     InputError
         There is no such file, it is not TOML, or it asks for a run that cannot be; the run is named.
     """
-    return campaign(read_run_spec(path), str(path))
+    return campaign(read_run_spec(path), str(path), here=here)
 
 
 def is_campaign(path: Path) -> bool:
@@ -96,22 +104,23 @@ def is_campaign(path: Path) -> bool:
     return not KEYS.isdisjoint(read_run_spec(path))
 
 
-def campaign(source: dict[str, Any], where: str) -> Campaign:
-    """The campaign that a file's content stands for; raises as `read_campaign`."""
+def campaign(source: dict[str, Any], where: str, *, here: bool = True) -> Campaign:
+    """The campaign that a file's content stands for; parameters and errors as those of `read_campaign`."""
     _check(source, where)
     assets = Assets(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.taken(source.get("defaults", {}))
+    defaults = assets.taken(USUAL | source.get("defaults", {}))
     crosses = [assets.taken(cross) for cross in source["cross"]]
     runs: dict[str, RunSpec] = {}
     for values in _crossed(defaults, crosses, where):
         _add(runs, values, where)
-    _check_assets(runs.values())
+    if here:
+        _check_assets(runs.values())
     resolved = {"defaults": defaults, "cross": crosses}
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
 
 
 def run_name(spec: RunSpec, said: Mapping[str, Any]) -> str:
-    """The name of a run: its gripper, object, method and seed, and whatever else was said of it.
+    """The name of a run: its gripper, object, method and seed, and whatever else is not as usual.
 
     Parameters
     ----------
@@ -119,9 +128,9 @@ def run_name(spec: RunSpec, said: Mapping[str, Any]) -> str:
         The values that the campaign gave for it; its budget is no part of its name.
     """
     parts = [Path(spec.gripper).stem, Path(spec.object).stem, spec.method, f"s{spec.seed}"]
-    defaults = RunSpec(gripper=spec.gripper, object=spec.object)
+    usual = full_spec(USUAL | {key: getattr(spec, key) for key in ("gripper", "object", "method")})
     others = sorted(said.keys() - {*NAMED, "evaluations"})
-    told = [key for key in others if getattr(spec, key) != getattr(defaults, key)]
+    told = [key for key in others if getattr(spec, key) != getattr(usual, key)]
     parts += [f"{SHORT.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in told]
     return _fitting("-".join(parts))
 

@@ -134,11 +134,12 @@ AIMED = Method(
     lambda _: None,
     "redraw",
     50,
-    "Empty cells beside successes, with a neighbour's grasp; this project's own, not the paper's.",
+    "The default, this project's own: empty cells beside successes, with a neighbour's grasp.",
     generations_in_flight=2,
 )
 PAPER = [family.method(prior) for family in FAMILIES for prior in family.priors]
-METHODS = {entry.name: entry for entry in (*PAPER, AIMED)}
+METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
+"""The first one is the default, as `RunSpec` has it."""
 
 
 def _given(spec: RunSpec, space: Space) -> Search:

@@ -19,7 +19,7 @@ ProtocolName = Literal["paper", "released", "robust"]
 Overlaps = Literal["count", "redraw"]
 """Whether a pose whose open hand overlaps the object counts as an evaluation."""
 
-
+DEFAULT_METHOD = "aimed"
 MOST = 4096
 """Genomes in a generation, at most, and poses in a spec."""
 
@@ -35,7 +35,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
-    method: str = "contact_me_scs"
+    method: str = DEFAULT_METHOD
+    """A search with its prior. Where a run is asked for, it says what `overlaps`, `population` and
+    `generations_in_flight` are unless they are given; their defaults here are the paper's."""
     protocol: ProtocolName = "paper"
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""

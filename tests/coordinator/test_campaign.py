@@ -49,6 +49,24 @@ class TestCrossing:
         with pytest.raises(InputError, match=r"'panda-mug-contact_rand-s0' twice, with different values"):
             names({"cross": [CROSS, CROSS | {"evaluations": 7}]})
 
+    def test_without_a_method_a_run_has_the_default_and_one_generation_in_flight(self) -> None:
+        (spec,) = campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml").runs.values()
+        assert (spec.method, spec.overlaps, spec.population) == ("aimed", "redraw", 50)
+        assert spec.generations_in_flight == 1
+
+    def test_the_file_may_ask_for_more_generations_in_flight(self) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug", "generations_in_flight": [1, 2]}]}
+        runs = campaign(source, "c.toml").runs
+        assert {name: spec.generations_in_flight for name, spec in runs.items()} == {
+            "panda-mug-aimed-s0": 1,
+            "panda-mug-aimed-s0-flight2": 2,
+        }
+
+    def test_the_folders_file_says_what_was_taken_for_granted(self) -> None:
+        found = campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml")
+        assert 'method = "aimed"' in found.toml
+        assert "generations_in_flight = 1" in found.toml
+
     def test_what_the_method_has_is_filled_in_for_each_run(self) -> None:
         runs = campaign({"cross": [CROSS | {"method": ["me_scs", "cma_mae"]}]}, "c.toml").runs
         assert {spec.method: spec.population for spec in runs.values()} == {"me_scs": 500, "cma_mae": 540}
@@ -56,10 +74,24 @@ class TestCrossing:
 
 class TestNames:
     def test_a_name_says_what_is_not_the_default(self) -> None:
-        assert (
-            named(mutation_sigma=0.05, protocol="released")
-            == "panda-mug-contact_me_scs-s0-sigma0_05-released"
-        )
+        assert named() == "panda-mug-aimed-s0"
+        assert named(mutation_sigma=0.05, protocol="released") == "panda-mug-aimed-s0-sigma0_05-released"
+
+    @pytest.mark.parametrize(
+        ("method", "usual"),
+        [
+            ("aimed", {"overlaps": "redraw", "population": 50}),
+            ("me_scs", {"overlaps": "count", "population": 500}),
+        ],
+    )
+    def test_what_the_method_has_anyway_is_no_part_of_a_name(self, method, usual) -> None:
+        assert named(method=method, **usual) == named(method=method)
+        other = named(method=method, overlaps="redraw" if method == "me_scs" else "count")
+        assert other != named(method=method)
+
+    def test_a_second_generation_in_flight_is_told_of(self) -> None:
+        assert named(generations_in_flight=1) == named()
+        assert named(generations_in_flight=2) == "panda-mug-aimed-s0-flight2"
 
     def test_a_budget_is_no_part_of_a_name(self) -> None:
         assert named(evaluations=7) == named()

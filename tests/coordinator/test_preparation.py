@@ -19,6 +19,10 @@ def test_the_spec_is_completed_with_what_the_method_has(entry) -> None:
     assert spec.generations_in_flight == entry.generations_in_flight
 
 
+def test_without_a_method_a_run_has_the_default() -> None:
+    assert full_spec(dict(ASKED)) == full_spec({**ASKED, "method": "aimed"})
+
+
 def test_what_is_asked_for_stays() -> None:
     spec = full_spec({**ASKED, "method": "cma_mae", "population": 60, "overlaps": "redraw"})
     assert (spec.population, spec.overlaps) == (60, "redraw")

@@ -37,11 +37,11 @@ def test_a_spec_comes_back_from_its_toml(spec: RunSpec) -> None:
     assert from_toml(to_toml(spec)) == spec
 
 
-def test_gripper_and_object_are_enough_and_the_rest_is_as_in_the_paper() -> None:
+def test_gripper_and_object_are_enough_and_all_but_the_method_is_as_in_the_paper() -> None:
     spec = run_spec(dict(LEAST))
     assert (spec.evaluations, spec.seed, spec.population) == (10_000, 0, 500)
     assert (spec.mutation_sigma, spec.mutation_probability) == (0.1, 0.3)
-    assert (spec.method, spec.protocol, spec.overlaps) == ("contact_me_scs", "paper", "count")
+    assert (spec.method, spec.protocol, spec.overlaps) == ("aimed", "paper", "count")
 
 
 @pytest.mark.parametrize("missing", ["gripper", "object"])

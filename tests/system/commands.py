@@ -16,7 +16,7 @@ from qdgrasp_protocol.errors import FolderError
 
 PATIENCE = 120.0  # seconds that anything may take before a test fails
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
-LONG = ("--gripper", "panda", "--object", "mug", "--population", "100", "--evaluations", "1000")
+LONG = (*SMALL, "--evaluations", "400")
 
 
 @dataclass(frozen=True)

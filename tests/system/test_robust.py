@@ -32,7 +32,7 @@ def test_a_robust_run_has_its_budget_of_nominal_rows_and_all_trials_of_its_succe
     assert (info["complete"], info["evaluations"], info["errors"]) == (True, 40, 0)
     assert info["successes"] > 5
     assert info["trials"] == 100 * info["successes"]
-    assert info["rows"] == 40 + info["trials"]
+    assert info["rows"] == 40 + info["overlaps"] + info["dead_ends"] + info["trials"]
     assert info["eta"]["successes"] == info["successes"]
     assert info["mean_fitness"] == pytest.approx(200 * info["eta"]["mean"])
     assert 0 < info["eta"]["mean"] < info["eta"]["best"] < 1

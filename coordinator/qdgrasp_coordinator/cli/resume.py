@@ -28,7 +28,7 @@ def resume(
 ) -> None:
     """Go on with a run where its journal ends; --evaluations extends a finished one.
 
-    Example: qdgrasp resume runs/panda-mug-contact_me_scs-s0 --evaluations 20000
+    Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
     """
     folder = RunFolder.open(directory)
     check_own_job(folder)

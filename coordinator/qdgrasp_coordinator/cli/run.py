@@ -16,7 +16,7 @@ from qdgrasp_coordinator.summary import summary
 from qdgrasp_coordinator.supervisor import Team
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import Stop, lifetime
-from qdgrasp_protocol.spec import RunSpec, read_run_spec
+from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec, read_run_spec
 
 
 def run(
@@ -27,12 +27,15 @@ def run(
     object_: options.Object = None,
     mass: options.Mass = None,
     friction: options.Friction = None,
-    method: Annotated[str | None, typer.Option(help="Search method; default contact_me_scs.")] = None,
+    method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the search; default 0.")] = None,
     overlaps: Annotated[
-        str | None, typer.Option(help="count: an overlapping pose is an evaluation; redraw: it is not.")
+        str | None,
+        typer.Option(
+            help="count: every pose is an evaluation; redraw: simulated ones are; default: the method's."
+        ),
     ] = None,
     population: Annotated[
         int | None,

@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.search import METHODS
+from qdgrasp_protocol.spec import DEFAULT_METHOD
 
 
 def test_every_method_has_a_line() -> None:
@@ -14,6 +15,11 @@ def test_every_method_has_a_line() -> None:
     head, *lines = done.stdout.splitlines()
     assert head.split() == ["name", "prior", "overlaps", "population", "summary"]
     assert [line.split()[0] for line in lines] == list(METHODS)
+
+
+def test_the_default_comes_first_and_is_marked() -> None:
+    assert next(iter(METHODS)) == DEFAULT_METHOD
+    assert [name for name, entry in METHODS.items() if "default" in entry.summary] == [DEFAULT_METHOD]
 
 
 def test_machines_get_the_same_table() -> None:
