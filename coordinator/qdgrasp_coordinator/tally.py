@@ -13,7 +13,9 @@ from qdgrasp_protocol.spec import Overlaps, RunSpec
 from qdgrasp_protocol.trials import trials
 
 BARREN = 20
-"""A run ends when so many generations in a row counted nothing."""
+"""A run ends when so many generations in a row counted nothing,"""
+BARREN_GENOMES = 1000
+"""and so many genomes: a search that asks few at a time may have bad luck for twenty generations."""
 
 
 def counted(rows: Rows, overlaps: Overlaps) -> NDArray[np.bool_]:
@@ -61,6 +63,8 @@ class Tally:
         self._trials = trials
         self._barren = 0
         self._before = 0
+        self._nominal = 0
+        self._fruitful = 0  # nominal rows up to the last generation that counted something
         self._last: np.void | None = None  # the last nominal row
         self._trials_follow = False
         self._outcomes = np.zeros(len(Outcome), dtype=np.int64)
@@ -86,8 +90,10 @@ class Tally:
 
     def end_generation(self) -> None:
         """Hear that the rows counted so far end a generation."""
-        self._barren = self._barren + 1 if self.evaluations == self._before else 0
-        self._before = self.evaluations
+        self._nominal = self.rows - self.trials
+        self._barren += 1
+        if self.evaluations > self._before:
+            self._barren, self._before, self._fruitful = 0, self.evaluations, self._nominal
 
     @property
     def left(self) -> int:
@@ -124,8 +130,9 @@ class Tally:
         """Why the run is over, in words; None while it is not."""
         if self.left <= 0 and not self._owed:
             return f"the budget of {self.budget} evaluations is spent"
-        if self._barren >= BARREN:
-            return f"the last {BARREN} generations counted no evaluation"
+        genomes = self._nominal - self._fruitful
+        if self._barren >= BARREN and genomes >= BARREN_GENOMES:
+            return f"the last {genomes} genomes, {self._barren} generations, counted no evaluation"
         return None
 
     @property

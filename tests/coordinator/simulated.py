@@ -116,7 +116,7 @@ def reference(plan: Plan) -> bytes:
     """The journal of a plan without a bus: written from the contract, not with the pipeline."""
     search = plan.search(plan.population, plan.seed)
     waiting = deque((g, search.ask(g)) for g in range(plan.in_flight))
-    journal, counted, barren = [], 0, 0
+    journal, counted, barren, idle = [], 0, 0, 0
     while True:
         number, genomes = waiting.popleft()
         rows = evaluate(rows_of(number, genomes))
@@ -127,8 +127,8 @@ def reference(plan: Plan) -> bytes:
         trials = [trials_of(row, plan.trials) for row in rows if row["outcome"] >= Outcome.DROPPED]
         journal += [rows.tobytes(), *(found.tobytes() for found in trials)]
         counted += int(counts.sum())
-        barren = 0 if counts.any() else barren + 1
-        if is_last or barren == 20:
+        barren, idle = (0, 0) if counts.any() else (barren + 1, idle + len(rows))
+        if is_last or (barren >= 20 and idle >= 1000):
             return b"".join(journal)
         if plan.trials:
             sums = [float(sum(trial["fitness"] for trial in found)) for found in trials]

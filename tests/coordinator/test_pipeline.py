@@ -10,7 +10,7 @@ import pytest
 from tests.coordinator.simulated import SHAPE, Chain, Plan, evaluate, reference, rows_of
 
 from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.tally import BARREN, Tally
+from qdgrasp_coordinator.tally import BARREN, BARREN_GENOMES, Tally
 from qdgrasp_protocol.errors import ImpossibleValue, ReplayError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure
@@ -187,7 +187,7 @@ class Barren(Chain):
     """Asks genomes that overlap, except for those of one generation."""
 
     def __init__(self, fertile: int) -> None:
-        super().__init__(3, 0)
+        super().__init__(BARREN_GENOMES // BARREN, 0)
         self._fertile = fertile
 
     def ask(self, generation: int) -> Genomes:
@@ -200,7 +200,7 @@ class Barren(Chain):
 def test_a_run_ends_when_its_last_twenty_generations_counted_nothing(fertile: int) -> None:
     pipeline = Pipeline(Barren(fertile), SHAPE, 100, "redraw", generations_in_flight=2)
     found = rows_in(journal(pipeline, fertile))
-    assert pipeline.finished == "the last 20 generations counted no evaluation"
+    assert pipeline.finished == "the last 1000 genomes, 20 generations, counted no evaluation"
     last = BARREN - 1 if fertile >= BARREN else fertile + BARREN
     assert found["generation"][-1] == last
     again = Pipeline(Barren(fertile), SHAPE, 200, "redraw", generations_in_flight=2)

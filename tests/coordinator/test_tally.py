@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.tally import BARREN, Tally, counted, tally
+from qdgrasp_coordinator.tally import BARREN, BARREN_GENOMES, Tally, counted, tally
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_protocol.spec import RunSpec
@@ -67,30 +67,46 @@ def blocks(*generations: Rows, size: int) -> list[Rows]:
     return [journal[first : first + size] for first in range(0, len(journal), size)]
 
 
-@pytest.mark.parametrize("size", [1, 2, 3, 7, 1000])
-@pytest.mark.parametrize(("barren", "is_over"), [(BARREN - 1, False), (BARREN, True)])
+def redrawn(population: int) -> RunSpec:
+    return RunSpec(gripper="hand", object="thing", population=population, overlaps="redraw")
+
+
+def barren(population: int, generations: int, first: int = 0) -> list[Rows]:
+    """Generations of which nothing was simulated."""
+    return [rows(*[Outcome.OVERLAP] * population, generation=first + number) for number in range(generations)]
+
+
+@pytest.mark.parametrize("size", [7, 50, 10_000])
+@pytest.mark.parametrize(
+    ("population", "generations"), [(500, BARREN), (50, BARREN), (40, BARREN_GENOMES // 40)]
+)
 def test_a_journal_tells_that_the_last_generations_counted_nothing(
-    size: int, barren: int, is_over: bool
+    size: int, population: int, generations: int
 ) -> None:
-    spec = RunSpec(gripper="hand", object="thing", population=3, overlaps="redraw")
-    good = rows(Outcome.MISSED, Outcome.OVERLAP, Outcome.OVERLAP)
-    bad = [rows(*[Outcome.OVERLAP] * 3, generation=1 + number) for number in range(barren)]
-    total = tally(spec, blocks(good, *bad, size=size))
-    assert total.finished == ("the last 20 generations counted no evaluation" if is_over else None)
+    good = rows(Outcome.MISSED, *[Outcome.OVERLAP] * (population - 1))
+    bad = barren(population, generations, first=1)
+    words = f"the last {population * generations} genomes, {generations} generations, counted no evaluation"
+    assert tally(redrawn(population), blocks(good, *bad, size=size)).finished == words
+    assert tally(redrawn(population), blocks(good, *bad[:-1], size=size)).finished is None
+
+
+@pytest.mark.parametrize("population", [1, 5])
+def test_a_search_that_asks_few_at_a_time_may_have_bad_luck_for_as_many_genomes(population: int) -> None:
+    bad = barren(population, BARREN_GENOMES // population)
+    assert tally(redrawn(population), blocks(*bad[:-1], size=100)).finished is None
+    assert tally(redrawn(population), blocks(*bad, size=100)).finished is not None
 
 
 def test_a_success_between_them_begins_the_count_anew() -> None:
-    spec = RunSpec(gripper="hand", object="thing", population=1, overlaps="redraw")
-    outcomes = [Outcome.OVERLAP] * 15 + [Outcome.MISSED] + [Outcome.OVERLAP] * 15
-    generations = [rows(outcome, generation=number) for number, outcome in enumerate(outcomes)]
-    assert tally(spec, blocks(*generations, size=4)).finished is None
+    good = rows(Outcome.MISSED, *[Outcome.OVERLAP] * 49, generation=15)
+    found = tally(redrawn(50), blocks(*barren(50, 15), good, *barren(50, 15, first=16), size=4))
+    assert found.finished is None
 
 
 def test_an_unfinished_generation_is_not_taken_for_a_barren_one() -> None:
-    spec = RunSpec(gripper="hand", object="thing", population=2, overlaps="redraw")
-    bad = [rows(*[Outcome.OVERLAP] * 2, generation=number) for number in range(BARREN)]
-    assert tally(spec, blocks(*bad, size=5)).finished is not None
-    assert tally(spec, blocks(*bad[:-1], bad[-1][:1], size=5)).finished is None
+    bad = barren(50, BARREN)
+    assert tally(redrawn(50), blocks(*bad, size=5)).finished is not None
+    assert tally(redrawn(50), blocks(*bad[:-1], bad[-1][:49], size=5)).finished is None
 
 
 def robust_journal() -> Rows:
