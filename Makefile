@@ -4,12 +4,13 @@ BIN := $(VENV)/bin
 IS_3_11 := import sys; sys.exit(sys.version_info[:2] != (3, 11))
 PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11)" 2>/dev/null && echo $$name && break; done)
 
-.PHONY: help demo test test-slow check bench clean
+.PHONY: help demo test test-slow check bench results results-page clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
 	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
 	@echo "make check   formatter, linter, types, imports between rooms"
 	@echo "make bench   what an evaluation, the coordinator and the recorder cost on this machine"
+	@echo "make results the runs whose results are missing, cheapest first; can be stopped (docs/results)"
 	@echo "make clean   remove the environment and the caches of the tools"
 
 demo: $(VENV)/.installed
@@ -29,6 +30,12 @@ check: $(VENV)/.ready
 
 bench: $(VENV)/.ready
 	@$(BIN)/python -m tests.benchmarks
+
+results: $(VENV)/.ready
+	@$(BIN)/python -m tests.benchmarks.results run
+
+results-page: $(VENV)/.ready
+	@$(BIN)/python -m tests.benchmarks.results page
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -114,8 +114,12 @@ class Journal:
 
     def blocks(self) -> Iterator[Rows]:
         """All rows in order, some thousands at a time."""
-        for stretch in self._stretches(0, self.count):
+        for stretch in self.stretches():
             yield stretch.rows
+
+    def stretches(self) -> Iterator[Stretch]:
+        """The same with what they cost, and with what is told beside them."""
+        return self._stretches(0, self.count)
 
     def successes(self) -> Rows:
         """Every nominal success ever found, in order, all columns; fitness 0 included (the archive A_o)."""

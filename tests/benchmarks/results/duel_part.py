@@ -1,0 +1,176 @@
+"""The default method against every other, after as many evaluations."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tests.benchmarks.results.arms import COUNTING, Arm
+
+from qdgrasp_coordinator.analysis import bootstrap
+from qdgrasp_coordinator.analysis.bootstrap import LEVEL, RESAMPLES, Interval
+from qdgrasp_coordinator.analysis.page import markdown
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What two arms are compared by."""
+
+    name: str
+    words: str
+    scale: float = 1.0
+    digits: int = 1
+
+
+COVERAGE = Figure("coverage", "coverage, %", 100)
+CELLS = Figure("cells", "cells", digits=0)
+BESIDE = (
+    Figure("robust_coverage", "robust coverage, %", 100),
+    Figure("cell_fitness", "cell fitness", digits=2),
+    Figure("orientations", "orientations", digits=2),
+    Figure("niches", "niches", digits=0),
+)
+"""What stands beside, so that coverage is not bought with worse grasps."""
+VERDICT = ("difference", f"{LEVEL:.0%} interval", "verdict")
+COLUMNS = (
+    "hand", "object", "against", "seeds", "of", "default", "other", *VERDICT,
+    *(figure.words for figure in BESIDE),
+)  # fmt: skip
+POOLED = ("hand", "against", "objects", "of", *VERDICT)
+
+
+@dataclass(frozen=True)
+class Duel:
+    """The default method and another on one scene, run by run of the same seed."""
+
+    ours: Arm
+    theirs: Arm
+
+    @property
+    def seeds(self) -> list[int]:
+        """Those that both have run."""
+        return sorted(self.ours.rows.keys() & self.theirs.rows.keys())
+
+    @property
+    def figure(self) -> Figure:
+        """Coverage where the scene has a set, else cells."""
+        return COVERAGE if len(self.differences(COVERAGE)) else CELLS
+
+    def differences(self, figure: Figure) -> NDArray[np.float64]:
+        """Ours less theirs for each seed that has the figure in both arms (n,)."""
+        pairs = [
+            [getattr(arm.rows[seed], figure.name) for arm in (self.ours, self.theirs)] for seed in self.seeds
+        ]
+        return figure.scale * np.array(
+            [ours - theirs for ours, theirs in pairs if None not in (ours, theirs)]
+        )
+
+    @property
+    def where(self) -> str:
+        """The scene and the other method, for a person."""
+        return f"{self.theirs.key.method} with {self.ours.key.gripper} on {self.ours.key.object}"
+
+
+def duels(known: Sequence[Arm]) -> dict[tuple[str, str, int], list[Duel]]:
+    """The default against each other method of its scene and budget; by both countings and the budget."""
+    groups: dict[tuple[str, str, int], list[Duel]] = {}
+    for ours in (arm for arm in known if arm.is_default):
+        for theirs in known:
+            alike = (ours.scene, ours.key.budget) == (theirs.scene, theirs.key.budget)
+            countings = ours.key.overlaps, theirs.key.overlaps
+            if alike and not theirs.is_default and countings != ("count", "redraw"):
+                groups.setdefault((*countings, ours.key.budget), []).append(Duel(ours, theirs))
+    return groups
+
+
+def duel_part(known: Sequence[Arm]) -> str:
+    """The section on comparisons."""
+    return (
+        "## The default method against the others\n\n"
+        "After equally many counted evaluations. A difference is the mean over seeds of the default's figure "
+        "less the other's in runs of the same seed; its interval is a bootstrap of these pairs, "
+        f"{RESAMPLES:,} resamples (over several objects: of objects and of the pairs on each). *Win* and "
+        "*loss*: the whole interval is on one side of 0; with few seeds it is narrower than it says. Of the "
+        "other figures the default's median stands first, then the other's.\n\n" + "\n".join(_groups(known))
+    )
+
+
+def _groups(known: Sequence[Arm]) -> Iterator[str]:
+    for (ours, theirs, budget), group in sorted(duels(known).items(), key=lambda item: item[0][::-1]):
+        fought = [duel for duel in group if duel.seeds]
+        counting = COUNTING[ours] if ours == theirs else f"{COUNTING[theirs]}; default: {COUNTING[ours]}"
+        yield f"### {budget:,} evaluations, {counting}\n"
+        if fought:
+            yield markdown(COLUMNS, [_line(duel) for duel in fought])
+            yield "\n".join(_losses(fought)) + "\n"
+        if over_objects := list(_pooled(fought)):
+            yield markdown(POOLED, over_objects)
+        if len(fought) < len(group):
+            yield f"{len(group) - len(fought)} of {len(group)} comparisons are not in yet.\n"
+
+
+def _line(duel: Duel) -> tuple[str, ...]:
+    figure, found = duel.figure, _interval([duel.differences(duel.figure)])
+    return (
+        duel.ours.key.gripper, duel.ours.key.object, f"`{duel.theirs.key.method}`", str(len(duel.seeds)),
+        figure.words, duel.ours.words(figure.name, figure.scale, figure.digits),
+        duel.theirs.words(figure.name, figure.scale, figure.digits), *_number(found, figure), verdict(found),
+        *(_beside(duel, other) for other in BESIDE),
+    )  # fmt: skip
+
+
+def _pooled(fought: Sequence[Duel]) -> Iterator[tuple[str, ...]]:
+    """The same for each hand and method over its objects that have a figure alike."""
+    groups: dict[tuple[str, str, Figure], list[Duel]] = {}
+    for duel in fought:
+        groups.setdefault((duel.ours.key.gripper, duel.theirs.key.method, duel.figure), []).append(duel)
+    for (hand, method, figure), group in groups.items():
+        if len(group) > 1:
+            found = _interval([duel.differences(figure) for duel in group])
+            yield hand, f"`{method}`", str(len(group)), figure.words, *_number(found, figure), verdict(found)
+
+
+def _losses(fought: Sequence[Duel]) -> Iterator[str]:
+    """In a sentence each: how often the default won, and every figure in which it is behind."""
+    verdicts = [verdict(_interval([duel.differences(duel.figure)])) for duel in fought]
+    said = ", ".join(f"{verdicts.count(one)} {words}" for one, words in VERDICTS.items() if one in verdicts)
+    yield f"In coverage, or cells: {said}."
+    for figure in (None, *BESIDE):
+        behind = [_behind(duel, figure or duel.figure) for duel in fought]
+        names = [words for words in behind if words]
+        label = "coverage, or cells" if figure is None else figure.words.removesuffix(", %")
+        yield f"- Behind in {label}: {'; '.join(names) if names else 'nowhere'}."
+
+
+VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "one seed": "of one seed"}
+
+
+def verdict(found: Interval) -> str:
+    """Who is ahead for certain."""
+    if not found.is_known:
+        return "one seed"
+    return "win" if found.low > 0 else "loss" if found.high < 0 else "level"
+
+
+def _behind(duel: Duel, figure: Figure) -> str:
+    """What to say where the default is behind; empty elsewhere."""
+    differences = duel.differences(figure)
+    if not len(differences) or differences.mean() >= 0:
+        return ""
+    mark = " (loss)" if verdict(_interval([differences])) == "loss" else ""
+    return f"{duel.where} by {-differences.mean():.{figure.digits}f}{mark}"
+
+
+def _beside(duel: Duel, figure: Figure) -> str:
+    medians = [arm.values(figure.name, figure.scale) for arm in (duel.ours, duel.theirs)]
+    return " / ".join(f"{np.median(values):.{figure.digits}f}" if len(values) else "-" for values in medians)
+
+
+def _interval(differences: list[NDArray[np.float64]]) -> Interval:
+    return bootstrap.mean(differences)
+
+
+def _number(found: Interval, figure: Figure) -> tuple[str, str]:
+    digits = figure.digits
+    interval = f"{found.low:+.{digits}f} to {found.high:+.{digits}f}" if found.is_known else ""
+    return f"{found.value:+.{digits}f}", interval

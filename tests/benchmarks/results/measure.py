@@ -1,0 +1,167 @@
+"""The rows of finished runs, from their journals."""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from scipy.optimize import nnls
+from tests.benchmarks.results.row import MILESTONES, Key, Row, key, written
+
+from qdgrasp_coordinator.analysis.diversity import diversity, niche_archive
+from qdgrasp_coordinator.analysis.entries import run_folders
+from qdgrasp_coordinator.analysis.history import Finds
+from qdgrasp_coordinator.analysis.metrics import Metrics
+from qdgrasp_coordinator.analysis.reference import ReferenceSet
+from qdgrasp_coordinator.analysis.target import Targets
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.journal import Journal
+from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.tally import counted, tally
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.trials import trials
+
+Figures = dict[str, str | int | float | None]
+HEX = 16
+"""Digits of a digest in the table."""
+LEAST_BLOCKS = 20
+"""Blocks of a journal from which costs are fitted."""
+
+Budgets = Callable[[Key], set[int]]
+"""The budgets with which rows are wanted of a run, whatever its own is."""
+
+
+def harvest(path: Path, budgets: Budgets, targets: Targets) -> Iterator[Row]:
+    """The rows of the runs in a campaign's folder, in a folder of run folders, or in a run's own."""
+    for folder in run_folders(path):
+        asked = key(folder.spec)
+        yield from rows_of(folder, asked, budgets(asked), targets)
+
+
+def rows_of(folder: RunFolder, asked: Key, budgets: set[int], targets: Targets) -> Iterator[Row]:
+    """A row of a run for each of these budgets that it has spent.
+
+    A longer run contains the shorter one, so that its journal gives the rows of both.
+    """
+    if not budgets:
+        return
+    with folder.journal() as journal:
+        stretches = list(journal.stretches())
+        rows = np.concatenate([journal.shape.empty(0), *(stretch.rows for stretch in stretches)])
+        stops = _stops(folder.spec, rows, budgets)
+        known = _reference(folder, targets) if stops else None
+        for budget, stop in stops.items():
+            said = asked._replace(budget=budget)._asdict() | _origin(journal, rows[:stop])
+            found = figures(folder, rows[:stop], known) | costs(stretches, stop)
+            found["wall_seconds"] = journal.wall_seconds if stop == len(rows) else None
+            yield row(said | _with_ratio(found))
+
+
+def _reference(folder: RunFolder, targets: Targets) -> ReferenceSet | None:
+    """The set of a run's object itself: what a stand-in covers of its scan's set is no result."""
+    target = targets.of(folder.scene(), folder.spec.object)
+    return None if target.stand_in else target.reference
+
+
+def row(values: Figures) -> Row:
+    """A row of figures, as precise as the table is."""
+    said = {name: float(written(one)) if isinstance(one, float) else one for name, one in values.items()}
+    return msgspec.convert(said, Row)
+
+
+def _stops(spec: RunSpec, rows: Rows, budgets: set[int]) -> dict[int, int]:
+    """How many rows of a journal are those of the run with each budget, of the budgets that are spent."""
+    spent = np.cumsum(counted(rows, spec.overlaps))
+    least = 0 if trials(spec.protocol) or not len(rows) else min(spec.evaluations, int(spent[-1]) + 1)
+    stops = {one: int(np.searchsorted(spent, one)) + 1 for one in sorted(budgets) if one < least}
+    whole = spec.evaluations in budgets and tally(spec, [rows]).finished
+    return stops | ({spec.evaluations: len(rows)} if whole else {})
+
+
+def _origin(journal: Journal, rows: Rows) -> Figures:
+    """By what the rows were made."""
+    platform = journal.platform
+    return {
+        "version": journal.package,
+        "code": platform.get("code", "")[:HEX],
+        "platform": hashlib.sha256(json.dumps(platform, sort_keys=True).encode()).hexdigest()[:HEX],
+        "scene": journal.scene[:HEX],
+        "journal": hashlib.sha256(rows.tobytes()).hexdigest()[:HEX],
+    }
+
+
+def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figures:
+    """What a run found with these rows of its journal."""
+    spec, archive = folder.spec, niche_archive(folder)
+    total, metrics = tally(spec, [rows]), Metrics(trials(spec.protocol))
+    metrics.count(rows)
+    archive.insert(rows)
+    various = diversity(archive)
+    return {
+        "evaluations": total.evaluations,
+        "simulated": total.simulated,
+        "proposals": total.proposals,
+        "successes": total.successes,
+        "grasps": total.grasps,
+        "robust": total.robust,
+        "cells": total.cells,
+        "cell_fitness": metrics.qd_score / total.cells if total.cells else None,
+        "niches": various.niches,
+        "robust_niches": various.robust_niches,
+        "orientations": various.orientations,
+        **(covered(finds(rows, spec), known, total.evaluations) if known else {}),
+    }
+
+
+def finds(rows: Rows, spec: RunSpec) -> Finds:
+    """The nominal successes among rows."""
+    success = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
+    return Finds(rows[success], np.cumsum(counted(rows, spec.overlaps))[success])
+
+
+def covered(found: Finds, known: ReferenceSet, evaluations: int) -> Figures:
+    """How much of a reference set was found, in the end and at the milestones that were reached."""
+    reached, size = found.found(known), len(known)
+    return {
+        "set_size": size,
+        **{
+            f"coverage_{milestone // 1000}k": int(reached.after(milestone)) / size
+            for milestone in MILESTONES
+            if milestone <= evaluations
+        },
+        "coverage": reached.end / size,
+        "robust_coverage": found.found(known, fitness=2).end / size,
+    }
+
+
+def costs(stretches: Sequence[Stretch], stop: int) -> Figures:
+    """What the first rows cost: seconds of the workers, and of a success among them."""
+    parts = [stretch.part(0, stop) for stretch in stretches if stretch.first < stop]
+    return {"cpu_seconds": sum(part.cpu_seconds for part in parts), "success_ms": _success_ms(parts)}
+
+
+def _success_ms(parts: Sequence[Stretch]) -> float | None:
+    """The cost of a success, where blocks cost what their successes, misses and other rows do."""
+    counts = np.array([_counts(part.rows) for part in parts], dtype=np.float64)
+    if len(parts) < LEAST_BLOCKS or not counts[:, 0].any():
+        return None
+    weight = 1 / np.sqrt(counts.sum(axis=1))  # a block's noise grows with its rows
+    cpu = np.array([part.cpu_seconds for part in parts])
+    return 1000 * float(nnls(counts * weight[:, None], cpu * weight)[0][0])
+
+
+def _counts(rows: Rows) -> tuple[int, int, int]:
+    outcome = rows["outcome"]
+    success = int(np.count_nonzero(outcome >= Outcome.DROPPED))
+    simulated = int(np.count_nonzero(outcome >= Outcome.MISSED))
+    return success, simulated - success, len(rows) - simulated
+
+
+def _with_ratio(found: Figures) -> Figures:
+    coverage, seconds = found.get("coverage"), found["cpu_seconds"]
+    ratio = float(coverage) / float(seconds) if coverage is not None and seconds else None
+    return found | {"coverage_per_cpu_second": ratio}

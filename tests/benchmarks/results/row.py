@@ -1,0 +1,139 @@
+"""A row of the table of results: what was run, by which code, and what came of it."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+from msgspec import Struct
+
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.spec import RunSpec
+
+DIGITS = 5
+"""Significant ones of a number that is not whole."""
+MILESTONES = (1000, 2000, 5000, 10_000)
+"""Counted evaluations after which a row says how much was found."""
+
+
+class Key(NamedTuple):
+    """What was asked for: no two rows of a table have the same. Rows are sorted by it."""
+
+    gripper: str
+    object: str
+    protocol: str
+    method: str
+    overlaps: str
+    settings: str
+    """Whatever else of the spec is not the spec's default, such as `population=50`; mostly empty."""
+    seed: int
+    budget: int
+
+    @property
+    def words(self) -> str:
+        """For a person."""
+        marks = (
+            f"{self.protocol}, {'overlaps redrawn' if self.overlaps == 'redraw' else 'every pose counted'}"
+        )
+        return (
+            f"{self.method} with {self.gripper} on {self.object}, seed {self.seed} x {self.budget} ({marks})"
+        )
+
+
+class Row(Struct, frozen=True, kw_only=True):
+    """One finished run. None, an empty field: there is no such figure."""
+
+    gripper: str
+    object: str
+    protocol: str
+    method: str
+    overlaps: str
+    settings: str
+    seed: int
+    budget: int
+    version: str
+    """Of this package, when the run was begun."""
+    code: str
+    """Digest of the evaluation's code: what decides whether a row is of today."""
+    platform: str
+    """Digest of all that decides the bits of a result (docs/reproducibility.md), `code` included."""
+    scene: str
+    """Digest of the scene bundle."""
+    journal: str
+    """The beginning of what `qdgrasp digest` prints."""
+    evaluations: int
+    """Counted ones; fewer than the budget where a search ended by itself."""
+    simulated: int
+    """Poses that the simulator closed a hand on."""
+    proposals: int
+    """Poses that decoding screened, overlaps included."""
+    successes: int
+    grasps: int
+    robust: int
+    cells: int
+    """Distinct 1 cm cells with a success."""
+    set_size: int | None = None
+    """Entries of the reference set."""
+    coverage_1k: float | None = None
+    """De-duplicated coverage of the reference set after so many counted evaluations, 0 to 1."""
+    coverage_2k: float | None = None
+    coverage_5k: float | None = None
+    coverage_10k: float | None = None
+    coverage: float | None = None
+    """The same in the end."""
+    robust_coverage: float | None = None
+    """The share of the set's entries in which a success of fitness 2 was found."""
+    cell_fitness: float | None = None
+    """The best fitness in a cell with a success, mean over these cells."""
+    niches: int | None = None
+    """Niches of position, orientation and synergy with a success."""
+    robust_niches: int | None = None
+    """Those with a success of fitness 2."""
+    orientations: float | None = None
+    """Of 60 bins, those with a success in a cell with one, mean over these cells."""
+    cpu_seconds: float
+    """Of the workers."""
+    coverage_per_cpu_second: float | None = None
+    success_ms: float | None = None
+    """What a success costs its worker [ms], fitted to the blocks of the journal."""
+    wall_seconds: float | None = None
+
+    @property
+    def key(self) -> Key:
+        """What was asked for."""
+        return Key(*(getattr(self, name) for name in Key._fields))
+
+
+COLUMNS = tuple(field.name for field in msgspec.structs.fields(Row))
+NEEDED = tuple(field.name for field in msgspec.structs.fields(Row) if field.required)
+
+
+def key(spec: RunSpec) -> Key:
+    """What a spec asks for.
+
+    Raises
+    ------
+    InputError
+        Its gripper or object is a file, which a table that others read cannot name.
+    """
+    for name in (spec.gripper, spec.object):
+        if Path(name).name != name or Path(name).suffix:
+            raise InputError(f"'{name}' is a file of this machine: only runs on named assets have a row.")
+    said = {name: getattr(spec, name) for name in Key._fields if name not in ("settings", "budget")}
+    return Key(**said, settings=_settings(spec), budget=spec.evaluations)
+
+
+def _settings(spec: RunSpec) -> str:
+    """What of a spec no other column says, where it is not the spec's default."""
+    others = [
+        field
+        for field in msgspec.structs.fields(RunSpec)
+        if field.name not in (*Key._fields, "evaluations") and getattr(spec, field.name) != field.default
+    ]
+    return " ".join(f"{field.name}={getattr(spec, field.name)}" for field in others)
+
+
+def written(value: object) -> str:
+    """A figure as it stands in the table."""
+    if isinstance(value, float):
+        return f"{value:.{DIGITS}g}" if abs(value) < 10**DIGITS else f"{value:.0f}"
+    return "" if value is None else str(value)

@@ -1,0 +1,106 @@
+"""Carrying runs out: one campaign's folder for each version of the code, which grows stage by stage."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from tests.benchmarks.results.plan import Costs, ordered, stages
+from tests.benchmarks.results.programme import Programme, Wanted
+from tests.benchmarks.results.row import Key
+from tests.benchmarks.results.store import Store
+
+import qdgrasp_coordinator
+from qdgrasp_coordinator.campaign import Campaign, campaign, read_campaign
+from qdgrasp_coordinator.campaign_folder import begin
+from qdgrasp_coordinator.cli.carrying import carry_out
+from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.progress import display
+from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.spec import RunSpec, to_values
+from qdgrasp_worker.platform import platform
+
+NAME_DIGITS = 12
+SEARCHING = ("archive", "cells", "draws", "generation", "pipeline", "search", "space", "tally")
+"""Modules of the coordinator, beside the searches, that have a say in what is asked."""
+
+
+def carry_on(store: Store, asked: Programme, runs: Path, team: Team, stop: Stop) -> list[QdgraspError]:
+    """Carry out what is missing, stage by stage, and add what each one finished.
+
+    Parameters
+    ----------
+    runs
+        Where the folders go: one for each version of the code, so that a run goes on with its own.
+
+    Returns
+    -------
+    failures
+        Why some of the runs could not be carried out; the others were.
+    """
+    tried, failures = set[Key](), list[QdgraspError]()
+    while not stop.is_set:
+        place = workplace(runs)
+        _gather(store, place)
+        left = [one for one in store.missing(asked) if one.key not in tried]
+        if not left:
+            break
+        costs = Costs(store.table.values())
+        stage = next(stages(ordered(left, costs), costs))
+        tried |= {one.key for one in stage}
+        try:
+            work(place, stage, team, stop)
+        except QdgraspError as error:
+            failures.append(error)
+        _gather(store, place)
+    return failures
+
+
+def _gather(store: Store, place: Path) -> None:
+    """Add the rows of a workplace that are not in yet."""
+    if JobFolder.is_job(place):
+        store.add([place], again=False)
+
+
+def workplace(home: Path) -> Path:
+    """The folder below `home` for the runs of this code: of what evaluates, and of what searches."""
+    said = json.dumps(platform(), sort_keys=True).encode()
+    digest = hashlib.sha256(said + _search_digest())
+    return home / digest.hexdigest()[:NAME_DIGITS]
+
+
+def _search_digest() -> bytes:
+    """The sha256 over the sources of the searches, and of what asks them."""
+    here = Path(str(qdgrasp_coordinator.__file__)).parent
+    sources = [*(here / f"{name}.py" for name in SEARCHING), *sorted(here.glob("searches/*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).digest()
+
+
+def work(place: Path, stage: Sequence[Wanted], team: Team, stop: Stop) -> None:
+    """Carry out a stage, and what an earlier one left undone.
+
+    Raises
+    ------
+    InputError
+        A run cannot be carried out; the others are.
+    EndedEarly
+        The coordinator died; the next stage goes on.
+    """
+    asked = grown(place, stage)
+    extent = begin(place, asked)
+    if extent.runs_done == extent.runs:
+        return
+    with display("results", asked.evaluations) as shown:
+        carry_out(JobFolder(place), team, shown, stop)
+
+
+def grown(place: Path, stage: Iterable[Wanted]) -> Campaign:
+    """The campaign in a folder with a stage more; a run that is there already gets the greater budget."""
+    known = read_campaign(place / CAMPAIGN).runs if (place / CAMPAIGN).is_file() else {}
+    runs: dict[str, RunSpec] = dict(known)
+    for one in stage:
+        if one.name not in runs or runs[one.name].evaluations < one.spec.evaluations:
+            runs[one.name] = one.spec
+    return campaign({"cross": [to_values(spec) for spec in runs.values()]}, str(place / CAMPAIGN))
