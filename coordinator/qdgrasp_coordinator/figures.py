@@ -1,12 +1,40 @@
 """The figures of a running search: defined once, published about once a second, shown by whoever listens."""
 
 import json
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import msgspec
 from msgspec import Struct
 
 from qdgrasp_protocol.errors import MessageError
+
+
+class Screened(Protocol):
+    """Whatever counts how many poses were screened, and what became of them."""
+
+    @property
+    def simulated(self) -> int:
+        """Rows whose hand closed: with `--overlaps redraw` the counted evaluations."""
+
+    @property
+    def proposals(self) -> int:
+        """Poses that decoding screened, simulated or not."""
+
+    @property
+    def overlaps(self) -> int:
+        """Rows whose open hand overlapped the object; where a genome has candidates, all of them."""
+
+    @property
+    def dead_ends(self) -> int:
+        """Rows for which decoding found no pose."""
+
+
+def screened_words(found: Screened) -> str:
+    """The other counting, beside evaluations: how much was screened for them."""
+    return (
+        f"{found.simulated} simulated of {found.proposals} proposals, "
+        f"{found.overlaps} overlaps, {found.dead_ends} dead ends"
+    )
 
 
 class Figures(Struct, frozen=True, kw_only=True):
@@ -17,9 +45,13 @@ class Figures(Struct, frozen=True, kw_only=True):
     """Counted evaluations."""
     budget: int
     rows: int
-    """Journal rows, overlaps included."""
+    """Journal rows: genomes and trials."""
+    simulated: int
+    """Genomes whose hand closed."""
     proposals: int
+    """Poses that decoding screened, simulated or not."""
     overlaps: int
+    dead_ends: int
     successes: int
     """A finger touches the object after closing."""
     grasps: int
@@ -55,11 +87,17 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     evaluations: int
     """Counted evaluations of all runs."""
     budget: int
+    simulated: int
+    """Genomes whose hand closed."""
+    proposals: int
+    """Poses that decoding screened, simulated or not."""
+    overlaps: int
+    dead_ends: int
     successes: int
     cells: int
     """Distinct 1 cm cells with a success, summed over the runs."""
     trials: int = 0
-    """Trials of successes, by this coordinator; 0 where no protocol has them."""
+    """Trials of successes; 0 where no protocol has them."""
     workers: int
     """Workers that have joined."""
     seconds: float
@@ -77,7 +115,7 @@ class JobFigures(Struct, frozen=True, kw_only=True):
         done = f"{runs}{self.evaluations} of {self.budget} evaluations"
         if self.trouble:
             return f"{done}, paused: {self.trouble}"
-        found = f"{self.successes} successes in {self.cells} cells"
+        found = f"{self.successes} successes in {self.cells} cells, {screened_words(self)}"
         trials = f"{self.trials} trials, " if self.trials else ""
         return f"{done}, {self.rate:.0f}/s, {found}, {trials}{self.workers} workers"
 

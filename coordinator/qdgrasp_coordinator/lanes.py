@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.assignment import Assignment
@@ -10,6 +11,7 @@ from qdgrasp_coordinator.lane import Lane
 from qdgrasp_coordinator.opener import News, Opener
 from qdgrasp_coordinator.programme import Programme
 from qdgrasp_coordinator.record import Record
+from qdgrasp_coordinator.totals import Totals
 from qdgrasp_protocol.errors import RunFailed, RunsFailed
 from qdgrasp_protocol.lifetime import Stop
 
@@ -45,11 +47,8 @@ class Lanes:
         self._failures: list[RunFailed] = []
         self._scenes: dict[str, Bundle] = {}
         self._done = 0
-        self._counted = programme.extent.evaluations_done
-        self._replayed = programme.extent.evaluations_done
-        self._successes = programme.extent.successes_done
-        self._trials = 0
-        self._cells = programme.extent.cells_done
+        self._found = programme.extent.done
+        self._replayed = programme.extent.done.evaluations
         self._began = time.monotonic()
 
     def __iter__(self) -> Iterator[Lane]:
@@ -116,10 +115,7 @@ class Lanes:
         """Let go of a run that is done."""
         del self._open[lane.run]
         self._done += 1
-        self._counted += lane.tally.evaluations
-        self._successes += lane.tally.successes
-        self._trials += lane.tally.trials
-        self._cells += lane.tally.cells
+        self._found += Totals.of(lane.tally)
 
     def close(self) -> None:
         """Stop opening."""
@@ -142,7 +138,7 @@ class Lanes:
             self._opener.trouble if self._is_opening else "",
             *(lane.record.trouble for lane in lanes),
         ]
-        counted = self._counted + sum(lane.tally.evaluations for lane in lanes)
+        found = sum((Totals.of(lane.tally) for lane in lanes), self._found)
         replayed = self._replayed + sum(lane.replayed for lane in opening)
         seconds = now - self._began
         return JobFigures(
@@ -151,13 +147,10 @@ class Lanes:
             runs_done=self._extent.runs_done + self._done,
             runs_failed=len(self._failures),
             runs_open=len(self._open),
-            evaluations=counted,
             budget=self._extent.evaluations,
-            successes=self._successes + sum(lane.tally.successes for lane in lanes),
-            cells=self._cells + sum(lane.tally.cells for lane in lanes),
-            trials=self._trials + sum(lane.tally.trials for lane in lanes),
+            **asdict(found),
             workers=workers,
             seconds=seconds,
-            rate=(counted - replayed) / seconds if seconds > 0 else 0.0,
+            rate=(found.evaluations - replayed) / seconds if seconds > 0 else 0.0,
             trouble=next(filter(None, troubles), ""),
         )

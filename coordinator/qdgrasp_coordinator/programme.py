@@ -5,6 +5,7 @@ from typing import Protocol
 
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.tally import Tally
+from qdgrasp_coordinator.totals import NOTHING, Totals
 
 
 @dataclass(frozen=True)
@@ -16,21 +17,12 @@ class Extent:
     """The budgets of all runs."""
     runs_done: int = 0
     """Runs that were finished before; they are not opened again."""
-    evaluations_done: int = 0
-    """What these counted."""
-    successes_done: int = 0
-    cells_done: int = 0
-    """Their distinct cells with a success, summed over runs."""
+    done: Totals = NOTHING
+    """What these found."""
 
     def with_done(self, found: Tally) -> "Extent":
         """The same, with one more run that was finished before."""
-        return replace(
-            self,
-            runs_done=self.runs_done + 1,
-            evaluations_done=self.evaluations_done + found.evaluations,
-            successes_done=self.successes_done + found.successes,
-            cells_done=self.cells_done + found.cells,
-        )
+        return replace(self, runs_done=self.runs_done + 1, done=self.done + Totals.of(found))
 
 
 class Programme(Protocol):

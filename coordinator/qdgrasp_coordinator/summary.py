@@ -5,6 +5,7 @@ from msgspec import Struct
 
 from qdgrasp_coordinator.analysis.diversity import Diversity, diversity, niche_archive
 from qdgrasp_coordinator.analysis.metrics import Eta, Lean, Metrics
+from qdgrasp_coordinator.figures import screened_words
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.tally import tally
 from qdgrasp_protocol.trials import trials
@@ -27,10 +28,14 @@ class Summary(Struct, frozen=True, kw_only=True):
     """Rows in the journal, overlaps and trials included."""
     trials: int
     """Rows that repeat a success with drawn disturbances; 0 where the protocol has none."""
+    simulated: int
+    """Genomes whose hand closed: with overlaps mode `redraw` the counted evaluations."""
     proposals: int
-    """Poses that decoding screened."""
+    """Poses that decoding screened, simulated or not."""
     overlaps: int
+    """Genomes whose open hand overlapped the object at every pose that was tried."""
     dead_ends: int
+    """Genomes for which decoding found no pose."""
     successes: int
     """A finger touches the object after closing."""
     grasps: int
@@ -68,7 +73,8 @@ class Summary(Struct, frozen=True, kw_only=True):
         """One sentence for a person."""
         return (
             f"{self.evaluations} evaluations of {self.method} with {self.gripper} on {self.object}: "
-            f"{self.successes} successes in {self.cells} cells, {self.grasps} grasps, {self.robust} robust."
+            f"{self.successes} successes in {self.cells} cells, {self.grasps} grasps, {self.robust} robust; "
+            f"{screened_words(self)}."
         )
 
     @property
@@ -100,6 +106,7 @@ def summary(folder: RunFolder) -> Summary:
             budget=spec.evaluations,
             rows=found.rows,
             trials=found.trials,
+            simulated=found.simulated,
             proposals=found.proposals,
             overlaps=found.overlaps,
             dead_ends=found.dead_ends,

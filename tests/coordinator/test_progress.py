@@ -17,6 +17,10 @@ FIGURES = JobFigures(
     runs_open=20,
     evaluations=123_456_789,
     budget=154_500_000,
+    simulated=100_000_000,
+    proposals=987_654_321,
+    overlaps=20_000_000,
+    dead_ends=3_456_789,
     successes=12_345_678,
     cells=1_234_567,
     workers=256,
@@ -50,6 +54,11 @@ def test_no_line_is_wider_than_the_terminal(width: int) -> None:
 def test_figures_name_failed_runs_only_where_there_are_some() -> None:
     assert FIGURES.words.startswith("1233 of 1545 runs and 12 failed, 123456789 of 154500000 evaluations, ")
     assert "failed" not in seen(replace(FIGURES, runs_failed=0))[1]
+
+
+def test_both_countings_are_shown() -> None:
+    words = "100000000 simulated of 987654321 proposals, 20000000 overlaps, 3456789 dead ends"
+    assert words in FIGURES.words
 
 
 def test_plain_lines_tell_of_trouble_at_once(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from qdgrasp_coordinator.folder import SPEC, RunFolder
 from qdgrasp_coordinator.job_folder import RUNS
 from qdgrasp_coordinator.search import METHODS
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 HANDS = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shadow")
 """The paper's order of the hands; others follow."""
@@ -21,7 +21,7 @@ ARM = {"gripper", "object", "protocol", "method", "seed", "evaluations"}
 """What of a spec says which entry a run belongs to, or may differ between its runs."""
 UNITS = {"mass": " kg"}
 DEFAULTS = {field.name: field.default for field in msgspec.structs.fields(RunSpec) if field.name not in ARM}
-"""What a spec has where nothing else is asked for."""
+"""What a spec has where neither its method nor anybody else asks for something."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,11 @@ class Entry:
     def arm(self) -> tuple[str, str]:
         """Method and variant: what it is on every scene."""
         return self.method, self.variant
+
+    @property
+    def overlaps(self) -> Overlaps:
+        """Whether overlaps count as evaluations, in all of its runs alike."""
+        return self.runs[0].spec.overlaps
 
     @property
     def target(self) -> Target:
@@ -134,8 +139,9 @@ def usual(entries: Iterable[Entry]) -> dict[SceneName, dict[str, Entry]]:
 
 
 def _departures(entry: Entry) -> int:
-    setting = _settings(entry.runs[0].spec)
-    return sum(setting[name] != default for name, default in DEFAULTS.items())
+    own, setting = METHODS[entry.method], _settings(entry.runs[0].spec)
+    usual = DEFAULTS | {"overlaps": own.overlaps, "population": own.population}
+    return sum(setting[name] != default for name, default in usual.items())
 
 
 def scene_name(spec: RunSpec) -> SceneName:

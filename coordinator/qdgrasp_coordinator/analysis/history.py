@@ -119,6 +119,10 @@ class History:
     target: Target
     evaluations: int
     complete: bool
+    simulated: int
+    proposals: int
+    overlaps: int
+    dead_ends: int
     successes: int
     cells: Steps
     """Distinct 1 cm cells with a success."""
@@ -178,6 +182,10 @@ def history(folder: RunFolder, target: Target) -> History:
         target=target,
         evaluations=total.evaluations,
         complete=total.finished is not None,
+        simulated=total.simulated,
+        proposals=total.proposals,
+        overlaps=total.overlaps,
+        dead_ends=total.dead_ends,
         successes=metrics.successes,
         cells=finds.cells(),
         robust_cells=finds.cells(fitness=2),

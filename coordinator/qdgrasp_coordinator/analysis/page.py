@@ -28,6 +28,10 @@ CAPTIONS = {
 }
 FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
     "evaluations": ("evaluations", lambda x: f"{x:,.0f}"),
+    "simulated": ("simulated", lambda x: f"{x:,.0f}"),
+    "proposals": ("proposals", lambda x: f"{x:,.0f}"),
+    "overlaps": ("overlaps", lambda x: f"{x:,.0f}"),
+    "dead_ends": ("dead ends", lambda x: f"{x:,.0f}"),
     "successes": ("successes", lambda x: f"{x:,.0f}"),
     "cells": ("cells", lambda x: f"{x:,.0f}"),
     "robust_cells": ("robust cells", lambda x: f"{x:,.0f}"),
@@ -47,6 +51,8 @@ FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
     "cpu_seconds": ("CPU s", lambda x: f"{x:,.0f}"),
 }
 """Columns of a scene's table, with how their numbers are written."""
+COUNTED = {"count": "every genome", "redraw": "the simulated"}
+"""What an evaluation is, by whether overlaps count."""
 
 
 def page(name: str, entries: Sequence[Entry], claims: Sequence[Judged], figures: Mapping[str, str]) -> str:
@@ -60,7 +66,8 @@ def page(name: str, entries: Sequence[Entry], claims: Sequence[Judged], figures:
         "## Methods\n",
         "Median over runs that have begun [first quartile, third quartile]; *n* is the number of runs. "
         "`methods.csv` and `runs.csv` have the numbers. Coverage is of S_G; robust coverage is of its "
-        "entries of fitness 2, by successes of fitness 2.\n",
+        "entries of fitness 2, by successes of fitness 2. *Counted* says what an evaluation is: compare "
+        "methods that count alike, or look at proposals and CPU time.\n",
         *_scenes(entries),
     ]
     return "\n".join(parts)
@@ -158,10 +165,10 @@ def _methods(entries: Sequence[Entry]) -> str:
     rows = method_rows(entries)
     shown = [name for name in FIGURES if any(row[name] is not None for row in rows)]
     body = [
-        (entry.name, _runs(entry), *(_quartiles(row, name) for name in shown))
+        (entry.name, _runs(entry), COUNTED[entry.overlaps], *(_quartiles(row, name) for name in shown))
         for entry, row in zip(entries, rows, strict=True)
     ]
-    return markdown(("method", "n", *(FIGURES[name][0] for name in shown)), body)
+    return markdown(("method", "n", "counted", *(FIGURES[name][0] for name in shown)), body)
 
 
 def _runs(entry: Entry) -> str:

@@ -25,6 +25,7 @@ def run_rows(entries: Iterable[Entry]) -> list[Row]:
         | {
             "run": run.path.name,
             "seed": run.spec.seed,
+            "overlaps_mode": run.spec.overlaps,
             "finished": "yes" if run.complete else "no",
             **figures(run),
             "set_size": run.target.size or None,
@@ -41,6 +42,10 @@ def figures(run: History) -> dict[str, float | int | None]:
     known = run.target.reference
     return {
         "evaluations": run.evaluations,
+        "simulated": run.simulated,
+        "proposals": run.proposals,
+        "overlaps": run.overlaps,
+        "dead_ends": run.dead_ends,
         "successes": run.successes,
         "cells": run.cells.end,
         "robust_cells": run.robust_cells.end,
@@ -69,7 +74,8 @@ def method_rows(entries: Iterable[Entry]) -> list[Row]:
     rows = []
     for entry in entries:
         begun = [run for run in entry.runs if run.evaluations]
-        row: Row = _arm(entry) | {"seeds": len(entry.runs), "unfinished": entry.unfinished}
+        row: Row = _arm(entry) | {"overlaps_mode": entry.overlaps}
+        row |= {"seeds": len(entry.runs), "unfinished": entry.unfinished}
         for name in figures(entry.runs[0]):
             values = np.array([[figures(run)[name]] for run in begun], dtype=np.float64).reshape(-1, 1)
             low, median, high = quartiles(values)[:, 0].tolist() if len(values) else [np.nan] * 3

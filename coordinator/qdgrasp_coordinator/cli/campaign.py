@@ -10,6 +10,7 @@ from qdgrasp_coordinator.campaign_folder import begin, open_campaign
 from qdgrasp_coordinator.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped
+from qdgrasp_coordinator.figures import screened_words
 from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.supervisor import Team
@@ -73,7 +74,7 @@ def finish(folder: JobFolder, asked: Campaign) -> None:
     """Print what was found."""
     found = CampaignRuns(folder, asked.runs).extent
     typer.echo(
-        f"{found.runs_done} of {found.runs} runs with {found.evaluations_done} evaluations: "
-        f"{found.successes_done} successes in {found.cells_done} cells. "
+        f"{found.runs_done} of {found.runs} runs with {found.done.evaluations} evaluations: "
+        f"{found.done.successes} successes in {found.done.cells} cells, {screened_words(found.done)}. "
         f"`qdgrasp analyse {folder.path}` draws the figures."
     )

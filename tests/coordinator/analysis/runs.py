@@ -62,7 +62,9 @@ def made(method: str, cells: Steps, seed: int = 0, evaluations: int = 100, **dif
     spec = RunSpec(**values, method=method, seed=seed, evaluations=100)
     fields: dict[str, Any] = {
         "path": Path(f"{method}-s{seed}"), "spec": spec, "target": Target(why="no S_G"),
-        "evaluations": evaluations, "complete": evaluations >= 100, "successes": cells.end, "cells": cells,
+        "evaluations": evaluations, "complete": evaluations >= 100,
+        "simulated": evaluations, "proposals": evaluations, "overlaps": 0, "dead_ends": 0,
+        "successes": cells.end, "cells": cells,
         "robust_cells": NOTHING, "found": None, "robust_found": None, "published": None,
         "diversity": UNIFORM, "qd_score": 0.0,
         "nu": np.zeros(NU_BINS, np.int64), "near": 0, "eta": None, "cpu_seconds": 1.0,

@@ -67,10 +67,11 @@ def test_the_tables_have_the_figures_of_info(campaign: Path) -> None:
     out = analysed(campaign).out
     for row in table(out / "runs.csv"):
         said = summary(RunFolder.open(campaign / "runs" / row["run"]))
-        for name in ("evaluations", "successes", "cells"):
+        for name in ("evaluations", "simulated", "proposals", "overlaps", "dead_ends", "successes", "cells"):
             assert int(row[name]) == getattr(said, name)
         assert float(row["qd_score"]) == said.qd_score
         assert row["finished"] == ("yes" if said.complete else "no")
+        assert row["overlaps_mode"] == said.overlaps_mode == "count"
 
 
 def test_medians_are_over_the_runs_that_have_begun(campaign: Path) -> None:
@@ -85,7 +86,7 @@ def test_the_page_names_what_is_unfinished_and_why_there_is_no_coverage(campaign
     page = (analysed(campaign).out / "tables.md").read_text()
     assert "`jaw-block-me_scs-s0` (70 of 100), `jaw-block-me_scs-s1` (0 of 100)" in page
     assert "No coverage: no S_G of jaw and block." in page
-    assert "| me_scs | 2, 2 unfinished |" in page
+    assert "| me_scs | 2, 2 unfinished | every genome |" in page
     assert (
         "| b | contact and approach variants of ME_scs end close together | **not in this campaign** |"
         in page
