@@ -32,10 +32,6 @@ class Backlog:
         self._cut = 0
         self._served = 0.0
 
-    def __len__(self) -> int:
-        """How many rows wait."""
-        return sum(len(queue) for queue in self._queues.values())
-
     @property
     def seconds(self) -> float:
         """What the waiting rows are expected to cost [CPU s]."""

@@ -175,29 +175,14 @@ class Dispatch:
         return self._roster.next_deadline()
 
     @property
-    def lease_seconds(self) -> float:
-        """How long a worker may go without a sign of progress."""
-        return self._roster.patience.limit
-
-    @property
     def workers(self) -> int:
         """Workers that are there and make progress."""
         return len(self._roster)
 
     @property
-    def queued(self) -> int:
-        """Rows that wait for a worker."""
-        return len(self._backlog)
-
-    @property
     def queued_seconds(self) -> float:
-        """What these rows are expected to cost [CPU s]."""
+        """What the rows that wait for a worker are expected to cost [CPU s]; 0 where none waits."""
         return self._backlog.seconds
-
-    @property
-    def leased(self) -> int:
-        """Batches that workers hold."""
-        return self._tickets.held
 
     # From hand to hand.
 

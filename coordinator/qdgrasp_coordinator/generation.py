@@ -96,14 +96,13 @@ class Slot:
         places, trials = np.nonzero(~self._here[found, 1:])
         return self._to_evaluate(found[places], trials + 1) if len(places) else None
 
-    def place(self, rows: Rows) -> tuple[int, int]:
-        """Put rows in their places; gives how many were here already, and how many were not asked."""
+    def place(self, rows: Rows) -> None:
+        """Put rows in their places; those that are here already, or were not asked, are ignored."""
         asked = rows[self._is_asked(rows)]
         indices, trials = asked["index"].astype(np.int64), asked["trial"].astype(np.int64)
         _, first = np.unique(indices * (1 + self._trials) + trials, return_index=True)
         new = first[~self._here[indices[first], trials[first]]]
         self._put(asked[new], indices[new], trials[new])
-        return len(asked) - len(new), len(rows) - len(asked)
 
     def arrived(self) -> Rows:
         """Rows behind the final ones, up to the first that is missing: nominal ones, or else trials."""

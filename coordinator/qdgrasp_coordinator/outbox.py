@@ -6,7 +6,6 @@ stands still (docs/bus.md, rule 8). Time is passed in, in seconds of any steady 
 """
 
 from collections import deque
-from math import inf
 
 from qdgrasp_coordinator.stretch import Stretch, joined
 from qdgrasp_protocol.errors import RecorderFellBack
@@ -96,10 +95,6 @@ class Outbox:
     def recorder_up(self, now: float) -> None:
         """Hear that a recorder has just appeared: it may have missed what was sent."""
         self._resend(now)
-
-    def next_deadline(self) -> float:
-        """When `due` is to be asked again if nothing happens before; infinite: never."""
-        return self._progress + RESEND_AFTER if self._is_waiting else inf
 
     @property
     def _is_waiting(self) -> bool:

@@ -45,11 +45,6 @@ class Pipeline:
         How many trials each nominal success has; its fitness is then the sum over them.
     """
 
-    duplicates: int = 0
-    """Rows that came again, or after the end, and were ignored."""
-    strays: int = 0
-    """Rows that nobody asked for, and that were ignored."""
-
     def __init__(
         self,
         search: Search,
@@ -89,7 +84,8 @@ class Pipeline:
         Parameters
         ----------
         rows
-            With keys, genomes and results; of any generations.
+            With keys, genomes and results; of any generations. Those that came before, that nobody asked
+            for, or that come after the end, are ignored.
         cpu_seconds
             What they cost; given on with the next rows that become final.
         failures
@@ -102,8 +98,9 @@ class Pipeline:
         """
         self._cpu_seconds += cpu_seconds
         self._reasons |= _by_key(rows, failures)
-        for number in np.unique(rows["generation"]):
-            self._place(int(number), rows[rows["generation"] == number])
+        if self.finished is None:
+            for slot in self._open:
+                slot.place(rows[rows["generation"] == slot.number])
         return self._advance()
 
     def replay(self, rows: Rows) -> None:
@@ -121,22 +118,6 @@ class Pipeline:
             self._open[0].replay(rows)
             self._advance()
             rows = rows[self.tally.rows - before :]
-
-    def _place(self, number: int, rows: Rows) -> None:
-        """Put rows of one generation where they belong."""
-        if self.finished is not None or number < self._told:
-            self.duplicates += len(rows)
-        elif number < self._asked:
-            duplicates, strays = self._open[number - self._told].place(rows)
-            self.duplicates += duplicates
-            self.strays += strays
-        else:
-            self.strays += len(rows)
-
-    @property
-    def _told(self) -> int:
-        """How many generations have been told: the number of the oldest open one."""
-        return self._asked - len(self._open)
 
     def _advance(self) -> Stretch:
         """Make final what follows without a gap; tell and ask where a generation is complete."""

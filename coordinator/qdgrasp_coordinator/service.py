@@ -272,8 +272,7 @@ class CoordinatorService:
         if join.wid not in self._alive:  # its token is late, or vanished before its question came
             self._dispatch.gone(join.wid, now)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
-        joined = Joined(epoch=self._epoch, lease_seconds=self._dispatch.lease_seconds, drop=drop)
-        answer.set_result(codec.encode(joined))
+        answer.set_result(codec.encode(Joined(epoch=self._epoch, drop=drop)))
 
     def _take_result(self, sample: Sample, now: float) -> None:
         """Settle a result once, and take what became final."""

@@ -35,11 +35,6 @@ class Tickets:
         self._open: dict[bytes, Ticket] = {}
         self._settled: OrderedDict[bytes, Ticket] = OrderedDict()
 
-    @property
-    def held(self) -> int:
-        """How many batches workers hold."""
-        return sum(ticket.holder is not None for ticket in self._open.values())
-
     def open(self, batch: Batch) -> Ticket:
         """The ticket of a batch that is leased, made when that happens first."""
         return self._open.setdefault(batch.id, Ticket(batch))

@@ -102,7 +102,6 @@ class Joined(Message, frozen=True, kw_only=True):
     """The answer to a join."""
 
     epoch: Count
-    lease_seconds: Number
     drop: list[BatchId]
 
 

@@ -80,7 +80,7 @@ class Counter:
         """Let the worker in."""
         self.seen.put(STAGES[0])
         self.joined.put(codec.decode(query.payload, Join))
-        return codec.encode(Joined(epoch=EPOCH, lease_seconds=PATIENCE, drop=[]))
+        return codec.encode(Joined(epoch=EPOCH, drop=[]))
 
     def asset(self, query: Query) -> bytes:
         """Hand out the scene."""

@@ -82,7 +82,6 @@ def test_a_worker_is_leased_as_many_batches_as_it_has_credit() -> None:
     assert dispatch.leases(0.1) == []
     settle(dispatch, first[1], 0.2)
     assert indices(dispatch.leases(0.2)) == [[4, 5]]
-    assert (dispatch.leased, dispatch.queued) == (2, 4)
 
 
 def test_without_workers_nothing_is_leased() -> None:
@@ -248,9 +247,9 @@ def test_a_worker_may_go_on_with_what_was_queued_again_meanwhile() -> None:
     leases = dispatch.leases(0.0)
     dispatch.gone(ANN, 0.1)
     dispatch.tick(0.1 + GRACE)
-    assert dispatch.queued == 4
+    assert dispatch.queued_seconds > 0
     assert dispatch.join(ANN, 2, 2, [lease.batch.id for lease in leases], 1.5) == []
-    assert (dispatch.queued, dispatch.leases(1.6)) == (0, [])
+    assert (dispatch.queued_seconds, dispatch.leases(1.6)) == (0, [])
 
 
 def test_nobody_may_go_on_with_what_it_was_never_leased() -> None:
@@ -267,8 +266,9 @@ def test_an_overtaken_join_changes_nothing(number: int) -> None:
     dispatch = with_work(n=4)
     dispatch.join(ANN, 2, 2, [], 0.0)
     dispatch.leases(0.1)
+    requeued = dispatch.counters["requeued"]
     assert dispatch.join(ANN, number, 2, [], 0.2) == []
-    assert (dispatch.queued, dispatch.leased) == (0, 2)
+    assert (dispatch.queued_seconds, dispatch.counters["requeued"]) == (0, requeued)
 
 
 # 4. Leases end.
@@ -300,7 +300,7 @@ def test_a_worker_that_comes_back_within_the_second_keeps_its_batches() -> None:
     dispatch.gone(ANN, 3.0)
     dispatch.back(ANN, 3.5)
     assert dispatch.tick(3.0 + GRACE) == []
-    assert dispatch.leased == 2
+    assert dispatch.counters["requeued"] == 0
 
 
 def test_a_vanished_worker_is_leased_nothing_even_if_a_late_result_of_it_arrives() -> None:
@@ -356,7 +356,8 @@ def test_leases_are_longer_where_batches_take_longer() -> None:
     for now in range(0, 60, 3):
         (lease, *_) = dispatch.leases(now)
         settle(dispatch, lease, now + 3)
-    assert dispatch.lease_seconds > 25
+    dispatch.leases(60.0)
+    assert dispatch.next_deadline() > 60.0 + 25
 
 
 def test_a_stuck_worker_gets_nothing_until_it_shows_progress() -> None:
@@ -412,7 +413,7 @@ def test_the_first_of_two_workers_wins_and_the_other_is_late() -> None:
     settled = settle(dispatch, zombies, 11.0)
     assert (settled.kind, settled.superseded) == (Settlement.FRESH, BOB)
     assert settle(dispatch, bobs, 12.0).kind is Settlement.LATE
-    assert (dispatch.leased, dispatch.queued) == (0, 0)
+    assert (dispatch.leases(13.0), dispatch.queued_seconds) == ([], 0)
 
 
 def test_a_worker_that_was_overtaken_has_its_credit_back_at_once() -> None:
@@ -506,7 +507,7 @@ def test_a_result_that_does_not_fit_its_batch_is_refused_and_changes_nothing(
     )
     with pytest.raises(MessageError):
         dispatch.settle(ANN, result, SHAPE.empty(n), 0.1)
-    assert dispatch.leased == 1
+    assert dispatch.leases(0.1) == []
     assert settle(dispatch, lease, 0.2).kind is Settlement.FRESH
 
 
@@ -593,4 +594,4 @@ def test_a_withdrawn_run_may_hold_batches_that_wait_to_be_leased_again() -> None
     dispatch.tick(GRACE)
     assert dispatch.withdraw("run") == {}
     dispatch.join(BOB, 1, 2, [], 1.5)
-    assert (dispatch.leases(2.0), dispatch.queued, dispatch.next_deadline()) == ([], 0, inf)
+    assert (dispatch.leases(2.0), dispatch.queued_seconds, dispatch.next_deadline()) == ([], 0, inf)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from qdgrasp_protocol import codec, messages
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Joined, Message, Recorded, Result, short
+from qdgrasp_protocol.messages import Failure, Joined, Message, Recordable, Recorded, Result, short
 
 KINDS = [
     kind
@@ -101,7 +101,9 @@ def mutated(payload: bytes, chance: random.Random) -> bytes:
 
 
 REPORT = {"v": 1, "epoch": 1, "run": "run", "durable": 1, "trouble": ""}
-JOINED = {"v": 1, "epoch": 1, "lease_seconds": 1.0, "drop": []}
+JOINED = {"v": 1, "epoch": 1, "drop": []}
+ROWS = {"v": 1, "epoch": 1, "run": "run", "first": 0, "n": 0, "genes": 1, "joints": 1, "descriptors": 3}
+ROWS |= {"columns": {}, "cpu_seconds": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -165,8 +167,9 @@ def test_a_field_outside_the_schema_is_refused(change: dict[str, object]) -> Non
 
 @pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf, -1.0, "1", None])
 def test_a_number_that_is_not_finite_and_positive_is_refused(seconds: object) -> None:
-    with pytest.raises(MessageError, match="lease_seconds"):
-        codec.decode(msgpack.packb(JOINED | {"lease_seconds": seconds}), Joined)
+    codec.decode(msgpack.packb(ROWS), Recordable)
+    with pytest.raises(MessageError, match="cpu_seconds"):
+        codec.decode(msgpack.packb(ROWS | {"cpu_seconds": seconds}), Recordable)
 
 
 @pytest.mark.parametrize("batch", [b"x" * 15, b"x" * 17, "AAAAAAAAAAAAAAAAAAAAAA==", 16 * [0]])

@@ -23,7 +23,7 @@ def work(batch: int, epoch: int = 1, join: int = 1) -> Work:
 
 
 def answer(epoch: int = 1, drop: tuple[int, ...] = ()) -> Joined:
-    return Joined(epoch=epoch, lease_seconds=10.0, drop=[bytes([batch]) * 16 for batch in drop])
+    return Joined(epoch=epoch, drop=[bytes([batch]) * 16 for batch in drop])
 
 
 @pytest.fixture
