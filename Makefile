@@ -32,7 +32,7 @@ bench: $(VENV)/.ready
 	@$(BIN)/python -m tests.benchmarks
 
 results: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks.results run
+	@$(BIN)/python -m tests.benchmarks.results run $(addprefix --accept ,$(ACCEPT))
 
 results-page: $(VENV)/.ready
 	@$(BIN)/python -m tests.benchmarks.results page

@@ -52,7 +52,7 @@ class TestHarvest:
         (row,) = rows_of(tmp_path / "run")
         assert (row.code, row.evaluations, row.proposals) == (TODAY, 300, 0)
         assert row.grasps >= row.robust > 0
-        assert 0 < (row.cell_fitness or 0) <= 2
+        assert 0 < (row.mean_best or 0) <= 2
 
     def test_an_unfinished_run_has_none(self, tmp_path) -> None:
         record(tmp_path / "run", evaluations=301)

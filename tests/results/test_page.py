@@ -111,7 +111,7 @@ class TestDuels:
         assert "1 losses" in text
         assert "Behind in coverage, or cells: me_scs with panda on ycb_mug by 10.0 (loss)" in text
         assert "Behind in robust coverage: me_scs with panda on ycb_mug by 10.0 (loss)" in text
-        assert "Behind in cell fitness: nowhere" in text
+        assert "Behind in mean best fitness: nowhere" in text
 
     def test_where_there_is_no_set_cells_are_compared(self) -> None:
         rows = [row(seed=seed, cells=100) for seed in (0, 1)] + [
@@ -150,7 +150,7 @@ def test_the_ceiling_is_a_new_cell_with_every_success() -> None:
         success_ms=10.0,
     )  # fmt: skip
     line = cells(cpu_part(arms(*of(found))), "panda")
-    assert line[8:] == ["5.000", f"{5 / 0.079:.1f}", "10.0", "10.00", "50"]
+    assert line[8:13] == ["5.000", f"{5 / 0.079:.1f}", "10.0", "10.00", "50"]
 
 
 @pytest.mark.parametrize("figure", ["coverage", "cpu_seconds"])

@@ -12,6 +12,8 @@ from qdgrasp_protocol.spec import RunSpec
 
 DEFAULT = RunSpec(gripper="any", object="any").method
 """The method of a run that names none."""
+CODE = 6
+"""Digits of a digest that tell it from others on a page."""
 COUNTING = {"count": "every pose counted", "redraw": "overlaps redrawn"}
 
 
@@ -41,6 +43,11 @@ class Arm:
         """How many of its runs are in, in words."""
         whole, here = len(self.seeds), len(self.rows)
         return str(whole) if here == whole else f"{here} of {whole}"
+
+    @property
+    def codes(self) -> str:
+        """Beginnings of the digests of its runs' evaluation code."""
+        return ", ".join(f"`{code[:CODE]}`" for code in sorted({row.code for row in self.rows.values()}))
 
     def values(self, figure: str, scale: float = 1.0) -> NDArray[np.float64]:
         """A figure of each run that has it (n,), by seed."""

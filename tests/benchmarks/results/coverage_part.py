@@ -21,7 +21,7 @@ TARGETS = {
 COLUMNS = (
     "hand", "object", "protocol", "counting", "budget", "runs",
     *(f"{milestone:,}" for milestone in MILESTONES), "end",
-    "robust", "cell fitness", "orientations", "aim",
+    "robust", "mean best fitness", "orientations", "aim",
 )  # fmt: skip
 
 
@@ -32,8 +32,8 @@ def coverage_part(known: Sequence[Arm]) -> str:
         "## Coverage of the default method\n\n"
         "Share of S_G in percent, de-duplicated, after so many counted evaluations: median over seeds, "
         "and in brackets their range. *Robust*: the share of S_G in whose cells a success of fitness 2 was "
-        "found. *Cell fitness*: the best fitness in a cell with a success, 0 to 2, mean over these cells. "
-        "*Orientations*: of 60 bins, those with a success in such a cell, mean over these cells.\n\n"
+        "found. *Mean best fitness*: the best fitness in a cell with a success, 0 to 2, mean over these "
+        "cells. *Orientations*: of 60 bins, those with a success in such a cell, mean over these cells.\n\n"
         + markdown(COLUMNS, [_line(arm) for arm in shown])
         + "\n"
         + "\n".join(_short(shown))
@@ -46,7 +46,7 @@ def _line(arm: Arm) -> tuple[str, ...]:
         f"{arm.key.budget:,}", arm.count,
         *(arm.words(f"coverage_{milestone // 1000}k", 100) for milestone in MILESTONES),
         arm.words("coverage", 100),
-        arm.words("robust_coverage", 100), arm.words("cell_fitness", 1, 2), arm.words("orientations", 1, 2),
+        arm.words("robust_coverage", 100), arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
         _aim(arm),
     )  # fmt: skip
 

@@ -14,7 +14,7 @@ SCENE = ("panda", "ycb_rubiks_cube", "paper")
 """Where that is compared."""
 COLUMNS = (
     "hand", "object", "method", "counting", "evaluations", "runs", "coverage, %", "CPU s", "% of S_G a CPU s",
-    f"x {AUTHORS}", "a success, ms", "ceiling, % a CPU s", "of the ceiling, %",
+    f"x {AUTHORS}", "a success, ms", "ceiling, % a CPU s", "of the ceiling, %", "code",
 )  # fmt: skip
 
 
@@ -44,7 +44,7 @@ def _line(arm: Arm) -> tuple[str, ...]:
         f"{arm.key.budget:,}", arm.count, arm.words("coverage", 100), arm.words("cpu_seconds", 1, 0),
         spread(rates, 3), f"{np.median(rates) / AUTHORS:.1f}" if arm.scene == SCENE else "",
         arm.words("success_ms", 1, 1), spread(ceilings, 2),
-        f"{100 * np.median(rates) / np.median(ceilings):.0f}" if len(ceilings) else "",
+        f"{100 * np.median(rates) / np.median(ceilings):.0f}" if len(ceilings) else "", arm.codes,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ COVERAGE = Figure("coverage", "coverage, %", 100)
 CELLS = Figure("cells", "cells", digits=0)
 BESIDE = (
     Figure("robust_coverage", "robust coverage, %", 100),
-    Figure("cell_fitness", "cell fitness", digits=2),
+    Figure("mean_best", "mean best fitness", digits=2),
     Figure("orientations", "orientations", digits=2),
     Figure("niches", "niches", digits=0),
 )
@@ -91,7 +91,9 @@ def duel_part(known: Sequence[Arm]) -> str:
         "less the other's in runs of the same seed; its interval is a bootstrap of these pairs, "
         f"{RESAMPLES:,} resamples (over several objects: of objects and of the pairs on each). *Win* and "
         "*loss*: the whole interval is on one side of 0; with few seeds it is narrower than it says. Of the "
-        "other figures the default's median stands first, then the other's.\n\n" + "\n".join(_groups(known))
+        "other figures the default's median stands first, then the other's; *orientations* is a mean over "
+        "all cells with a success, which whoever finds more cells lowers: read it beside *niches*.\n\n"
+        + "\n".join(_groups(known))
     )
 
 

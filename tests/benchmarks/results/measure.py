@@ -28,8 +28,8 @@ from qdgrasp_protocol.trials import trials
 Figures = dict[str, str | int | float | None]
 HEX = 16
 """Digits of a digest in the table."""
-LEAST_BLOCKS = 20
-"""Blocks of a journal from which costs are fitted."""
+LEAST = 20
+"""Blocks of a journal, and successes in them, from which costs are fitted."""
 
 Budgets = Callable[[Key], set[int]]
 """The budgets with which rows are wanted of a run, whatever its own is."""
@@ -109,7 +109,7 @@ def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figure
         "grasps": total.grasps,
         "robust": total.robust,
         "cells": total.cells,
-        "cell_fitness": metrics.qd_score / total.cells if total.cells else None,
+        "mean_best": metrics.qd_score / total.cells if total.cells else None,
         "niches": various.niches,
         "robust_niches": various.robust_niches,
         "orientations": various.orientations,
@@ -147,7 +147,7 @@ def costs(stretches: Sequence[Stretch], stop: int) -> Figures:
 def _success_ms(parts: Sequence[Stretch]) -> float | None:
     """The cost of a success, where blocks cost what their successes, misses and other rows do."""
     counts = np.array([_counts(part.rows) for part in parts], dtype=np.float64)
-    if len(parts) < LEAST_BLOCKS or not counts[:, 0].any():
+    if len(parts) < LEAST or counts[:, 0].sum() < LEAST:
         return None
     weight = 1 / np.sqrt(counts.sum(axis=1))  # a block's noise grows with its rows
     cpu = np.array([part.cpu_seconds for part in parts])

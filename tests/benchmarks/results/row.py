@@ -82,7 +82,7 @@ class Row(Struct, frozen=True, kw_only=True):
     """The same in the end."""
     robust_coverage: float | None = None
     """The share of the set's entries in which a success of fitness 2 was found."""
-    cell_fitness: float | None = None
+    mean_best: float | None = None
     """The best fitness in a cell with a success, mean over these cells."""
     niches: int | None = None
     """Niches of position, orientation and synergy with a success."""
