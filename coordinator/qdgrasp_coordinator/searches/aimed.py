@@ -7,7 +7,7 @@ overlap, and simulates the one that a model ranks first; the model learns here, 
 genome.
 
 New in this project, not from the paper. What selects is success alone; where the frontier is poor, some of
-the tries go to cells whose grasp is not robust, beside one that is better.
+the tries go to cells whose grasp is not robust, beside robust ones.
 """
 
 from dataclasses import dataclass
@@ -98,8 +98,9 @@ class Aimed:
         is_simulated = rows["outcome"] >= Outcome.MISSED
         is_success = rows["outcome"] >= Outcome.DROPPED
         features = self._open.pop(generation)
-        told = np.flatnonzero((is_simulated | self._counts_all)[: len(features)])
-        self._frontier.learn(features[told], is_success[told])
+        is_told, n = is_simulated | self._counts_all, len(features)
+        self._frontier.learn(features[is_told[:n]], is_success[:n][is_told[:n]])
+        self._spare.tell(generation, (rows["outcome"] >= Outcome.HELD)[n:], is_told[n:])
         self._frontier.fail(self._aimed_at(rows["genome"][~is_simulated]))
         self._succeed(rows[is_success])
         self._ranker.learn(rows[is_simulated])
@@ -110,6 +111,7 @@ class Aimed:
         successes, places = successes[places >= 0], places[places >= 0]
         self._frontier.succeed(places, successes["surface_point"].astype(np.float64))
         self._hints.learn(places, successes)
+        self._spare.succeed(places[successes["outcome"] >= Outcome.HELD])
 
     def _targets(self, generation: int) -> Places:
         """The cells to aim at, each once, at most as many as the population; none in the beginning."""
@@ -118,7 +120,7 @@ class Aimed:
         generator = draws(self._spec.seed, "targets", generation)
         n = int(np.count_nonzero(generator.random(self._spec.population) >= SCOUTS))
         best = self._frontier.best(n, generator)
-        spare = self._spare.targets(best, n, generator)
+        spare = self._spare.ask(generation, best, generator)
         return np.concatenate([self._frontier.best(len(best) - len(spare), generator, best), spare])
 
     def _aimed(self, targets: Places, generation: int) -> Aims:

@@ -130,7 +130,7 @@ class Frontier:
         """What a try in each of `places` (n,) promises, 0 to 1; by neighbours alone until a fit."""
         features = self.features(places)
         likely = self._model.likely(features) if self._model.is_taught else (1.0 + features[:, 2]) / 2.0
-        worth: Floats = likely / (self._spent(places) + 1.0)
+        worth: Floats = likely / (self.spent(places) + 1.0)
         return worth
 
     def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:
@@ -141,11 +141,8 @@ class Frontier:
         places = self._edge if among is None else among
         return top(places, self.worth(places), n, generator)
 
-    def rarest(self, places: Places, n: int, generator: np.random.Generator) -> Places:
-        """The `n` of `places` with the fewest tries; among equals `generator` draws."""
-        return top(places, -self._spent(places), n, generator)
-
-    def _spent(self, places: Places) -> Floats:
+    def spent(self, places: Places) -> Floats:
+        """What was spent on each of `places` (n,): tries, and dead ends for less."""
         spent: Floats = self._tries[places] + DEAD_END * self._dead_ends[places]
         return spent
 

@@ -173,12 +173,12 @@ def test_synergies_are_inherited_but_for_some_and_free_joints_drift() -> None:
     assert 0 < (children[:, 1] + 1).mean() < 0.05
 
 
-def test_weak_grasps_are_tried_again_where_the_frontier_is_poor(monkeypatch: pytest.MonkeyPatch) -> None:
-    def again(poor: float) -> float:
-        monkeypatch.setattr(spare, "POOR", poor)
+def test_weak_grasps_are_tried_again_where_that_is_worth_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    def again(value: float) -> float:
+        monkeypatch.setattr(spare, "VALUE", value)
         rows = play(search(), SPACE, 1000)
         first = np.unique(cells(rows["descriptor"][rows["outcome"] >= Outcome.DROPPED][:, :3]), axis=0)
         return np.count_nonzero(rows["outcome"] >= Outcome.DROPPED) / len(first)
 
     assert again(0.0) < 1.05
-    assert again(100.0) > 1.3
+    assert again(100.0) > 1.2
