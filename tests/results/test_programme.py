@@ -6,8 +6,9 @@ from tests.benchmarks.results.programme import Programme, Wanted, chosen, progra
 from tests.benchmarks.results.row import Key, Row
 from tests.results.make_rows import BEFORE, TODAY, row
 
+from qdgrasp_coordinator.campaign import campaign
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import RunSpec, to_values
 
 
 def wanted(seed: int = 0, **values: object) -> Wanted:
@@ -44,6 +45,10 @@ class TestFiles:
         names: dict[str, Key] = {}
         for one in known.wanted.values():
             assert names.setdefault(one.name, one.key._replace(budget=0)) == one.key._replace(budget=0)
+
+    def test_a_campaign_of_full_specs_has_the_same_names(self, known) -> None:
+        runs = {one.name: to_values(one.spec) for one in known.wanted.values()}
+        assert list(campaign({"cross": list(runs.values())}, "all.toml", here=False).runs) == list(runs)
 
     def test_a_folder_without_campaigns_is_no_programme(self, tmp_path) -> None:
         with pytest.raises(InputError, match="holds no campaigns"):
