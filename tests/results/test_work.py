@@ -66,6 +66,15 @@ class TestCarryingOn:
         assert sorted(one.key for one in tried) == sorted(self.known.wanted)
         assert len(failures) == len(list(stages(tried, Costs([]))))
 
+    def test_what_is_not_on_this_machine_is_told_of_and_left_out(self, store, tmp_path, monkeypatch) -> None:
+        tried: list[Wanted] = []
+        monkeypatch.setattr(work, "work", lambda _place, stage, *_: tried.extend(stage))
+        absent = Wanted("absent", RunSpec(gripper="claw", object="mug"))
+        both = Programme({"some": (wanted(0), absent)})
+        failures = work.carry_on(Store(store.file, both, {TODAY}), both, tmp_path, TEAM, Stop())
+        assert [str(error)[:22] for error in failures] == ["Unknown gripper 'claw'"]
+        assert tried == [wanted(0)]
+
     def test_a_signal_ends_it_after_the_stage(self, store, tmp_path, monkeypatch) -> None:
         stop, stages_done = Stop(), []
 

@@ -49,6 +49,8 @@ def run(
     if stop.is_set:
         typer.echo("Stopped; the same command goes on.", err=True)
         raise typer.Exit(stop.exit_code)
+    for other in failures[1:]:
+        typer.echo(str(other), err=True)
     if failures:
         raise failures[0]
 

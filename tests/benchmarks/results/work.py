@@ -2,22 +2,22 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
 from tests.benchmarks.results.plan import Costs, ordered, stages
 from tests.benchmarks.results.programme import Programme, Wanted
-from tests.benchmarks.results.row import Key
 from tests.benchmarks.results.store import Store
 
 import qdgrasp_coordinator
+from qdgrasp_assets.catalog import check_object, find_gripper
 from qdgrasp_coordinator.campaign import Campaign, campaign, read_campaign
 from qdgrasp_coordinator.campaign_folder import begin
 from qdgrasp_coordinator.cli.carrying import carry_out
 from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.supervisor import Team
-from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.spec import RunSpec, to_values
 from qdgrasp_worker.platform import platform
@@ -40,7 +40,9 @@ def carry_on(store: Store, asked: Programme, runs: Path, team: Team, stop: Stop)
     failures
         Why some of the runs could not be carried out; the others were.
     """
-    tried, failures = set[Key](), list[QdgraspError]()
+    lacks = lacking(asked.wanted.values())
+    failures: list[QdgraspError] = list(lacks.values())
+    tried = {key for key in asked.wanted if not lacks.keys().isdisjoint((key.gripper, key.object))}
     while not stop.is_set:
         place = workplace(runs)
         _gather(store, place)
@@ -56,6 +58,20 @@ def carry_on(store: Store, asked: Programme, runs: Path, team: Team, stop: Stop)
             failures.append(error)
         _gather(store, place)
     return failures
+
+
+def lacking(runs: Collection[Wanted]) -> dict[str, InputError]:
+    """The hands and objects of runs that are not on this machine, and what is to be said of each."""
+    checks: dict[str, Callable[[str], object]] = {one.spec.gripper: find_gripper for one in runs} | {
+        one.spec.object: check_object for one in runs
+    }
+    found: dict[str, InputError] = {}
+    for name, check in checks.items():
+        try:
+            check(name)
+        except InputError as error:
+            found[name] = error
+    return found
 
 
 def _gather(store: Store, place: Path) -> None:
