@@ -13,6 +13,8 @@ from qdgrasp_coordinator import disk, lock
 from qdgrasp_protocol.errors import InputError
 
 Table = Mapping[Key, Row]
+HEAD = "restore the head of the table, or move the table away to begin another"
+LINE = "restore the line, or delete it to have the run done again"
 
 
 def read(file: Path) -> dict[Key, Row]:
@@ -91,9 +93,9 @@ def disk_text(file: Path) -> Iterator[io.StringIO]:
 def _check_columns(file: Path, columns: Collection[str]) -> None:
     """Check the columns; figures that an older table does not have yet may be missing."""
     if unknown := [name for name in columns if name not in COLUMNS]:
-        raise _wrong(file, 1, f"unknown column '{unknown[0]}'")
+        raise _wrong(file, 1, f"unknown column '{unknown[0]}'", HEAD)
     if missing := [name for name in NEEDED if name not in columns]:
-        raise _wrong(file, 1, f"column '{missing[0]}' is missing")
+        raise _wrong(file, 1, f"column '{missing[0]}' is missing", HEAD)
 
 
 def _lines(file: Path, reader: "csv.DictReader[str]") -> Iterator[dict[str, str]]:
@@ -111,7 +113,5 @@ def _row(file: Path, line: int, values: Mapping[str, str]) -> Row:
         raise _wrong(file, line, str(error)) from None
 
 
-def _wrong(file: Path, line: int, what: str) -> InputError:
-    return InputError(
-        f"{file}, line {line}: {what}; restore the line, or delete it to have the run done again."
-    )
+def _wrong(file: Path, line: int, what: str, remedy: str = LINE) -> InputError:
+    return InputError(f"{file}, line {line}: {what}; {remedy}.")
