@@ -3,15 +3,20 @@
 from dataclasses import replace
 from random import Random
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.coordinator.simulated import SHAPE, Plan, World, reference
+from tests.coordinator import make_believe
+from tests.coordinator.plans import SHAPE, Plan, Task, evaluate, reference
+from tests.coordinator.simulated import World
 from tests.coordinator.spaces import plain
 
 from qdgrasp_coordinator import outbox
-from qdgrasp_coordinator.search import PAPER, Method, Search
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_coordinator.search import AIMED, PAPER, Method, Search
+from qdgrasp_coordinator.searches.aimed import START
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 TROUBLE: dict[str, dict[str, float]] = {
     "nothing": {},
@@ -109,19 +114,63 @@ def test_without_trouble_every_batch_is_evaluated_once(seed: int) -> None:
     assert [counters[name] for name in ("duplicate", "late", "unknown", "foreign", "requeued")] == [0] * 5
 
 
-@pytest.mark.parametrize("entry", PAPER, ids=lambda entry: entry.name)  # `test_aimed` has its own
-def test_the_methods_end_with_the_same_journal_through_all_of_it(entry: Method) -> None:
+def plain_task(entry: Method) -> Task:
+    """A method whose genomes stand for themselves."""
+
     def build(population: int, seed: int) -> Search:
         spec = RunSpec(gripper="hand", object="thing", population=population, seed=seed)
         return entry.build(spec, plain(SHAPE.genes))
 
-    for seed in range(5):
-        plan = Plan(
-            seed=seed,
-            population=30,
-            evaluations=100,
-            workers=3,
-            search=build,
-            **(TROUBLE["lost messages"] | TROUBLE["workers that die"] | TROUBLE["a coordinator that dies"]),
-        )
+    return Task(build, evaluate, SHAPE)
+
+
+def aimed_task(overlaps: Overlaps) -> Task:
+    """The search that aims, with a hand of synergies and a spread, on a make-believe object."""
+    where = make_believe.space(AIMED.prior, ("synergy", "spread"))
+
+    def build(population: int, seed: int) -> Search:
+        asked = {"population": population, "seed": seed, "overlaps": overlaps}
+        return AIMED.build(RunSpec(gripper="hand", object="thing", **asked), where)
+
+    def evaluated(rows: Rows) -> Rows:
+        if not len(rows):
+            return rows
+        found = make_believe.evaluate(where, 0, rows["genome"])
+        for key in ("generation", "index", "trial"):
+            found[key] = rows[key]
+        return found
+
+    return Task(build, evaluated, make_believe.shape(where))
+
+
+SEARCHES = {entry.build: entry for entry in PAPER}.values()
+"""One method of each search: what tells the others apart, the prior, is not in these histories."""
+ALL_OF_IT = TROUBLE["lost messages"] | TROUBLE["workers that die"] | TROUBLE["a coordinator that dies"]
+
+
+@pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name)
+def test_the_methods_end_with_the_same_journal_through_all_of_it(entry: Method) -> None:
+    for seed in range(3):
+        plan = Plan(seed=seed, population=30, evaluations=100, workers=3, task=plain_task(entry), **ALL_OF_IT)
         assert World(plan).run() == reference(plan)
+
+
+@pytest.mark.parametrize("overlaps", ["redraw", "count"])
+@pytest.mark.parametrize("in_flight", [1, 2])
+def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(
+    in_flight: int, overlaps: Overlaps
+) -> None:
+    plan = Plan(
+        population=25,
+        evaluations=300,
+        overlaps=overlaps,
+        in_flight=in_flight,
+        batch_size=None,
+        workers=3,
+        task=aimed_task(overlaps),
+        **ALL_OF_IT,
+    )
+    journals = [World(replace(plan, seed=7, batch_size=size)).run() for size in (None, 3)]
+    assert set(journals) == {reference(replace(plan, seed=7))}
+    rows = np.frombuffer(journals[0], plan.task.shape.dtype)
+    assert make_believe.covered(rows[rows["generation"] > START // 25]) > 20

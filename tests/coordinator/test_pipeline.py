@@ -7,7 +7,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.simulated import SHAPE, Chain, Plan, evaluate, reference, rows_of
+from tests.coordinator.plans import SHAPE, Chain, Plan, evaluate, reference, rows_of
 
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.tally import BARREN, BARREN_GENOMES, Tally

@@ -1,7 +1,7 @@
 """What a coordinator does with what a recorder answers."""
 
 import pytest
-from tests.coordinator.simulated import SHAPE
+from tests.coordinator.plans import SHAPE
 
 from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_protocol.bus import Query

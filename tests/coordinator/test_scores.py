@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.coordinator.simulated import SHAPE, Chain, Plan
+from tests.coordinator.plans import SHAPE, Chain, Plan
 from tests.coordinator.test_pipeline import asked
 
 from qdgrasp_coordinator.pipeline import Pipeline

@@ -9,7 +9,7 @@ from queue import SimpleQueue
 
 import numpy as np
 import pytest
-from tests.coordinator.simulated import SHAPE, Chain, Plan, evaluate, reference
+from tests.coordinator.plans import SHAPE, Chain, Plan, evaluate, reference
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.assignment import Assignment

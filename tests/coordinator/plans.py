@@ -1,0 +1,152 @@
+"""Plans of histories: what is evaluated, what goes wrong, and the journal that comes of it."""
+
+import hashlib
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from qdgrasp_coordinator.pipeline import Pipeline
+from qdgrasp_coordinator.search import Search
+from qdgrasp_protocol.genome import Genomes
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+from qdgrasp_protocol.spec import Overlaps
+
+SHAPE = Shape(genes=4, joints=1)
+
+
+class Chain:
+    """A search whose every ask depends on every bit of all tells: nothing can be told differently unseen."""
+
+    def __init__(self, population: int, seed: int) -> None:
+        self._population = population
+        self._told = hashlib.sha256(seed.to_bytes(8, "little"))
+
+    def ask(self, generation: int) -> Genomes:
+        digest = self._told.copy()
+        digest.update(f"ask {generation}".encode())
+        generator = np.random.default_rng(list(digest.digest()))
+        return generator.uniform(-1, 1, (self._population, SHAPE.genes)).astype(np.float32)
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        self._told.update(f"tell {generation}".encode() + rows.tobytes())
+
+
+def evaluate(rows: Rows) -> Rows:
+    """The rows with results: a pure function of each genome and trial, poison (about 4 %) included."""
+    found = rows.copy()
+    genome = rows["genome"]
+    share = ((genome[:, 0] + 1) / 2 + rows["trial"] * np.float32(0.37)) % 1
+    found["outcome"] = np.searchsorted([0.04, 0.1, 0.5, 0.7, 0.75, 0.85, 0.95], share, side="right")
+    found["fitness"] = np.maximum(found["outcome"].astype(np.float32) - Outcome.DROPPED, 0)
+    found["proposals"] = 1
+    found["descriptor"] = genome[:, 1:4] * np.float32(0.2)
+    found["nu"] = genome[:, 1] * genome[:, 2]
+    return np.where(found["outcome"] == Outcome.ERROR, rows, found)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a history is about."""
+
+    search: Callable[[int, int], Search]
+    """Makes the search from population and seed."""
+    evaluate: Callable[[Rows], Rows]
+    """Gives rows with results, a function of genome and trial; those that are poison as they were."""
+    shape: Shape
+
+
+CHAIN = Task(Chain, evaluate, SHAPE)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A history in brief. Probabilities are per message, rates per second."""
+
+    seed: int = 0
+    population: int = 6
+    evaluations: int = 32
+    overlaps: Overlaps = "count"
+    in_flight: int = 1
+    trials: int = 0
+    batch_size: int | None = 2
+    workers: int = 2
+    credit: int = 2
+    row_seconds: float = 0.05
+    delay: float = 0.02
+    loss: float = 0.0
+    repeat: float = 0.0
+    stall: float = 0.0
+    """The probability that a message is delayed by up to 15 seconds."""
+    hiccup: float = 0.0
+    """The probability that the simulator fails on a row that is no poison, at most twice a row."""
+    flap: float = 0.0
+    """A worker's link goes down and comes up."""
+    kill: float = 0.0
+    """A worker dies and is replaced."""
+    zombie: float = 0.0
+    """A worker keeps its token, its work, and its peace, and is replaced by another; it may wake up."""
+    link: float = 0.0
+    """The coordinator's link goes down and comes up."""
+    crash: float = 0.0
+    """The coordinator dies and is started again."""
+    recorder_crash: float = 0.0
+    """The recorder dies with what it has not committed, and is started again."""
+    restore: float = 0.0
+    """The recorder comes back with an older disk."""
+    calm_after: float = 60.0
+    """Faults with a rate stop at this time."""
+    task: Task = CHAIN
+
+    def __str__(self) -> str:
+        """What differs from the defaults."""
+        changed = [field for field in fields(self) if getattr(self, field.name) != field.default]
+        return " ".join(f"{field.name}={getattr(self, field.name)}" for field in changed) or "plain"
+
+    def pipeline(self) -> Pipeline:
+        """A new pipeline of this run."""
+        search = self.task.search(self.population, self.seed)
+        return Pipeline(search, self.task.shape, self.evaluations, self.overlaps, self.in_flight, self.trials)
+
+
+def reference(plan: Plan) -> bytes:
+    """The journal of a plan without a bus: written from the contract, not with the pipeline."""
+    task = plan.task
+    search = task.search(plan.population, plan.seed)
+    waiting = deque((g, search.ask(g)) for g in range(plan.in_flight))
+    journal, counted, barren, idle = [], 0, 0, 0
+    while True:
+        number, genomes = waiting.popleft()
+        rows = task.evaluate(rows_of(number, genomes, task.shape))
+        counts = rows["outcome"] >= (Outcome.MISSED if plan.overlaps == "redraw" else Outcome.ERROR)
+        until = np.flatnonzero(counted + np.cumsum(counts) == plan.evaluations)[:1]
+        is_last = len(until) > 0
+        rows = rows[: until[0] + 1] if is_last else rows
+        trials = [trials_of(row, plan.trials, task) for row in rows if row["outcome"] >= Outcome.DROPPED]
+        journal += [rows.tobytes(), *(found.tobytes() for found in trials)]
+        counted += int(counts.sum())
+        barren, idle = (0, 0) if counts.any() else (barren + 1, idle + len(rows))
+        if is_last or (barren >= 20 and idle >= 1000):
+            return b"".join(journal)
+        if plan.trials:
+            sums = [float(sum(trial["fitness"] for trial in found)) for found in trials]
+            rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = sums
+        search.tell(number, rows)
+        waiting.append((number + plan.in_flight, search.ask(number + plan.in_flight)))
+
+
+def trials_of(row: np.void, trials: int, task: Task) -> Rows:
+    """The trials of a nominal row, evaluated."""
+    rows = task.shape.empty(trials)
+    rows["generation"], rows["index"], rows["genome"] = row["generation"], row["index"], row["genome"]
+    rows["trial"] = np.arange(1, trials + 1)
+    return task.evaluate(rows)
+
+
+def rows_of(number: int, genomes: Genomes, shape: Shape = SHAPE) -> Rows:
+    """Rows of a whole generation, not evaluated."""
+    rows = shape.empty(len(genomes))
+    rows["generation"], rows["index"], rows["genome"] = number, np.arange(len(genomes)), genomes
+    return rows
