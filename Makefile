@@ -9,7 +9,7 @@ help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
 	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
 	@echo "make check   formatter, linter, types, imports between rooms"
-	@echo "make bench   what an evaluation, the coordinator and the recorder cost on this machine"
+	@echo "make bench   what everything costs on this machine, and where the time goes (runs/bench)"
 	@echo "make results the runs whose results are missing, cheapest first; can be stopped (docs/results)"
 	@echo "make clean   remove the environment and the caches of the tools"
 
@@ -29,7 +29,7 @@ check: $(VENV)/.ready
 	$(BIN)/lint-imports
 
 bench: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks
+	@$(BIN)/python -m tests.benchmarks --out runs/bench
 
 results: $(VENV)/.ready
 	@$(BIN)/python -m tests.benchmarks.results run $(addprefix --accept ,$(ACCEPT))

@@ -1,86 +1,80 @@
-"""Evaluations per CPU second: poses anywhere, and poses close to successes."""
+"""Evaluations per CPU second by hand, object and regime, beside the naive path, and what they are spent on.
 
-import numpy as np
-from numpy.typing import NDArray
-from tests.benchmarks.measure import Figure, Meter
+Poses anywhere, poses near grasps (as `qdgrasp bench` draws them), and those of the default method's search.
+"""
 
-from qdgrasp_assets.catalog import build_scene, object_names
+from collections.abc import Iterator
+from contextlib import closing
+from typing import NamedTuple
+
+from tests.benchmarks.lot import Lot
+from tests.benchmarks.measure import Figure
+from tests.benchmarks.naive import Naive
+
+from qdgrasp_assets.catalog import build_scene, gripper_names, object_names
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_protocol.rows import Rows
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_coordinator.bench.regimes import PRIOR, Regime, Regimes
+from qdgrasp_coordinator.preparation import full_spec
+from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.space import space
+from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.service import SLICE
 
-BATCH = 64
-NEAR = 0.02
-"""Sigma of the genes around those of successes."""
-SEARCHED = 40
-"""Batches in which successes are looked for."""
-PAIRS = [
-    ("panda", "rubiks_cube"),
-    ("panda", "mug"),
-    ("ref_panda_2f", "ycb_rubiks_cube"),
-    ("ref_panda_2f", "ycb_mug"),
+WARM = 200
+"""Genomes of the search before it is measured: by then it has found its first grasps."""
+
+
+class Pair(NamedTuple):
+    """A hand and an object, and what else is measured of them."""
+
+    hand: str
+    object: str
+    protocol: str = "paper"
+    searched: bool = True
+    """Whether the default method is measured, too."""
+
+
+BUILT_IN = [
+    Pair("panda", "rubiks_cube"),
+    Pair("panda", "mug"),
+    Pair("barrett", "rubiks_cube"),
+    Pair("allegro", "rubiks_cube"),
+    Pair("allegro", "mug"),
+    Pair("shadow", "rubiks_cube"),
+    Pair("robotiq_2f", "mug"),
+]
+REFERENCE = [
+    Pair("ref_panda_2f", "ycb_rubiks_cube", "released", searched=False),
+    Pair("ref_panda_2f", "ycb_mug", "released", searched=False),
+    Pair("ref_bh280", "ycb_rubiks_cube", "released", searched=False),
+    Pair("ref_allegro", "ycb_rubiks_cube", "released", searched=False),
+    Pair("ref_shadow", "ycb_mug", "released", searched=False),
 ]
 
 
 def measure(seconds: float) -> list[Figure]:
-    here = object_names()
-    return [figure for hand, thing in PAIRS if thing in here for figure in _pair(hand, thing, seconds)]
+    hands, things = gripper_names(), object_names()
+    here = [pair for pair in BUILT_IN + REFERENCE if pair.hand in hands and pair.object in things]
+    return [lot for pair in here for lot in _pair(pair, seconds)]
 
 
-def _pair(hand: str, thing: str, seconds: float) -> list[Figure]:
-    scene = build_scene(RunSpec(gripper=hand, object=thing))
-    random = np.random.default_rng(0)
-    with Evaluator(scene) as evaluator:
-        evaluator.evaluate("contact", _uniform(random, scene, "contact"), np.zeros(BATCH, np.uint16))
-        anywhere = _measured(evaluator, "contact", random, None, seconds)
-        known = _successes(evaluator, scene, random)
-        near = _measured(evaluator, "approach", random, known, seconds)
-    name = f"{hand} on {thing}"
-    return [Figure(f"{name}, anywhere", *anywhere), Figure(f"{name}, near successes", *near)]
+def _pair(pair: Pair, seconds: float) -> Iterator[Figure]:
+    scene = build_scene(RunSpec(gripper=pair.hand, object=pair.object, protocol=pair.protocol))
+    regimes, name = Regimes(layout(scene, PRIOR)), f"{pair.hand} on {pair.object}"
+    with Evaluator(scene) as evaluator, closing(Naive(scene)) as naive:
+        looking = Lot(name, regimes, PRIOR, evaluator)
+        while not regimes.has_looked:
+            looking.skip(SLICE)
+        for regime in (Regime.ANYWHERE, Regime.NEAR):
+            regimes.turn(regime, SLICE)
+            lot = Lot(f"{name}, {regime.value}", regimes, PRIOR, evaluator, naive, regimes.since)
+            yield lot.measured(seconds)
+        if pair.searched:
+            yield _searched(pair, evaluator).skip(WARM).measured(seconds / 2)
 
 
-def _measured(
-    evaluator: Evaluator,
-    prior: str,
-    random: np.random.Generator,
-    known: NDArray[np.float32] | None,
-    seconds: float,
-) -> tuple[int, float, str, str]:
-    meter, found = Meter(), []
-    while meter.seconds < seconds:
-        genomes = _uniform(random, evaluator.scene, prior) if known is None else _around(random, known)
-        with meter.running():
-            found.append(evaluator.evaluate(prior, genomes, np.zeros(BATCH, np.uint16)).rows)
-    rows = np.concatenate(found)
-    return len(rows), meter.seconds, "cpu", _shares(rows)
-
-
-def _shares(rows: Rows) -> str:
-    overlaps, successes = (
-        (rows["outcome"] == Outcome.OVERLAP).mean(),
-        (rows["outcome"] >= Outcome.DROPPED).mean(),
-    )
-    return f"{100 * overlaps:.0f} % overlaps, {100 * successes:.0f} % successes"
-
-
-def _successes(evaluator: Evaluator, scene: Scene, random: np.random.Generator) -> NDArray[np.float32]:
-    trials = np.zeros(BATCH, np.uint16)
-    tried = [
-        evaluator.evaluate("approach", _uniform(random, scene, "approach"), trials).rows
-        for _ in range(SEARCHED)
-    ]
-    rows = np.concatenate(tried)
-    genomes: NDArray[np.float32] = rows["genome"][rows["outcome"] >= Outcome.DROPPED]
-    return genomes
-
-
-def _uniform(random: np.random.Generator, scene: Scene, prior: str) -> NDArray[np.float32]:
-    return random.uniform(-1, 1, (BATCH, len(layout(scene, prior)))).astype(np.float32)
-
-
-def _around(random: np.random.Generator, known: NDArray[np.float32]) -> NDArray[np.float32]:
-    parents = known[random.integers(len(known), size=BATCH)]
-    return np.clip(parents + random.normal(0, NEAR, parents.shape), -1, 1).astype(np.float32)
+def _searched(pair: Pair, evaluator: Evaluator) -> Lot:
+    spec = full_spec({"gripper": pair.hand, "object": pair.object, "method": DEFAULT_METHOD})
+    chosen, name = method(spec.method), f"{pair.hand} on {pair.object}, {spec.method}"
+    return Lot(name, chosen.build(spec, space(evaluator.scene, chosen.prior)), chosen.prior, evaluator)

@@ -1,15 +1,21 @@
-"""Counting what is done against the CPU time that it takes."""
+"""Counting what is done against the time that it takes, in turns."""
 
-import os
-import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib.metadata import version
-from pathlib import Path
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any, Protocol
 
-PACKAGES = ("qdgrasp", "pybullet", "numpy", "ribs", "eclipse-zenoh")
+import msgspec
+import numpy as np
+
+from qdgrasp_coordinator.bench.node import node
+
+ROUNDS = 5
+"""How often everything that is compared has its turn."""
+Clock = Callable[[], float]
+CLOCKS: dict[str, Clock] = {"cpu": time.process_time, "wall": time.perf_counter}
 
 
 @dataclass(frozen=True)
@@ -17,21 +23,34 @@ class Figure:
     """So many things took so many seconds."""
 
     name: str
-    count: int
+    count: float
     seconds: float
     clock: str = "cpu"
     remark: str = ""
+    rates: tuple[float, ...] = ()
+    """Things per second in each round; empty where there was but one."""
+    naive: tuple[float, ...] = ()
+    """How many times as long the naive path took for the same things, in each round."""
+    stages: Mapping[str, float] = field(default_factory=dict)
+    """Microseconds of one thing by what they were spent on."""
 
     @property
     def per_second(self) -> float:
-        return self.count / self.seconds
+        """The median over rounds."""
+        return median(self.rates) if self.rates else self.count / self.seconds
 
     @property
     def microseconds(self) -> float:
-        return 1e6 * self.seconds / self.count
+        return 1e6 / self.per_second
 
-    def as_dict(self) -> dict[str, object]:
-        return {
+    def ratios(self, other: "Figure") -> tuple[float, ...]:
+        """How many times as many as another's, round by round where they took turns."""
+        if len(self.rates) == len(other.rates) and self.rates:
+            return tuple(own / its for own, its in zip(self.rates, other.rates, strict=True))
+        return (self.per_second / other.per_second,)
+
+    def as_dict(self) -> dict[str, Any]:
+        found = {
             "name": self.name,
             "count": self.count,
             "seconds": self.seconds,
@@ -39,26 +58,104 @@ class Figure:
             "per_second": self.per_second,
             "remark": self.remark,
         }
+        if self.rates:
+            found["interval"] = interval(self.rates)
+        if self.naive:
+            found["naive"] = {"times": median(self.naive), "interval": interval(self.naive)}
+        return found | ({"stages_us": dict(self.stages)} if self.stages else {})
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    """The quartiles."""
+    low, high = np.percentile(values, [25, 75]).tolist()
+    return low, high
+
+
+def spread(values: Sequence[float], digits: int = 3) -> str:
+    """Median and quartiles in words."""
+    if len(values) < 2:
+        return number(values[0], digits) if values else ""
+    low, high = (number(value, digits) for value in interval(values))
+    return f"{number(median(values), digits)} [{low}, {high}]"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number to so many figures, without an exponent where it is large."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:,.0f}" if rounded >= 10 ** (digits - 1) else f"{rounded:.{digits}g}"
+
+
+def taken(microseconds: float) -> str:
+    """A time in the unit that suits it."""
+    for unit, size in (("s", 1e6), ("ms", 1e3)):
+        if microseconds >= size:
+            return f"{microseconds / size:.3g} {unit}"
+    return f"{microseconds:.3g} \u00b5s"
 
 
 class Meter:
-    """CPU seconds of this process within its `running` blocks."""
+    """Seconds within its `running` blocks."""
 
-    seconds: float = 0.0
+    def __init__(self, clock: str = "cpu") -> None:
+        self.seconds = 0.0
+        self._clock = CLOCKS[clock]
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        began = time.process_time()
+        began = self._clock()
         yield
-        self.seconds += time.process_time() - began
+        self.seconds += self._clock() - began
 
 
-def machine() -> dict[str, object]:
-    models = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line]
-    return {
-        "cpu": models[0].partition(":")[2].strip() if models else platform.processor(),
-        "cores": len(os.sched_getaffinity(0)),
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
-    }
+class Work(Protocol):
+    """One of several things that are measured in turns."""
+
+    def __call__(self, meter: Meter) -> float:
+        """Do some of it, count the time that is of interest, and say how much it was."""
+
+    @property
+    def remark(self) -> str:
+        """What there is to say of it in the end."""
+
+    @property
+    def stages(self) -> Mapping[str, float]:
+        """Microseconds of one thing by what they were spent on; empty where that is not known."""
+
+
+@dataclass
+class Subject:
+    """A work, and what it took in each of its turns."""
+
+    name: str
+    work: Work
+    clock: str = "cpu"
+    counts: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def turn(self, seconds: float) -> None:
+        """Work for a time."""
+        meter, count = Meter(self.clock), 0.0
+        while meter.seconds < seconds:
+            count += self.work(meter)
+        self.counts.append(count)
+        self.seconds.append(meter.seconds)
+
+    @property
+    def figure(self) -> Figure:
+        rates = tuple(count / taken for count, taken in zip(self.counts, self.seconds, strict=True))
+        total = sum(self.counts), sum(self.seconds)
+        return Figure(self.name, *total, self.clock, self.work.remark, rates, stages=self.work.stages)
+
+
+def in_turns(subjects: Sequence[Subject], seconds: float, rounds: int = ROUNDS) -> list[Figure]:
+    """Measure things in turns, each for so many seconds."""
+    for _ in range(rounds):
+        for subject in subjects:
+            subject.turn(seconds / rounds)
+    return [subject.figure for subject in subjects]
+
+
+def machine() -> dict[str, Any]:
+    """The node that this is measured on."""
+    values: dict[str, Any] = msgspec.to_builtins(node())
+    return values

@@ -2,12 +2,14 @@
 
 import tempfile
 import time
+from collections.abc import Mapping
+from contextlib import ExitStack
 from math import inf
 from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
-from tests.benchmarks.measure import Figure
+from tests.benchmarks.measure import Figure, Meter, Subject, in_turns
 
 from qdgrasp_coordinator.books import Books
 from qdgrasp_coordinator.journal_format import Identity
@@ -25,43 +27,71 @@ RUNS = (1, 20)
 """Runs whose rows arrive in turns."""
 SLICE = 100
 """Rows in a message."""
+MESSAGES = 41
+"""Messages of each run until everything is committed: two full groups."""
 
 
 def measure(seconds: float) -> list[Figure]:
-    alone = [_recorder(group, seconds / 3) for group in GROUPS]
-    return alone + [_interleaved(runs, seconds / 3) for runs in RUNS]
+    with ExitStack() as stack:
+        alone = [Alone(_folder(stack), group) for group in GROUPS]
+        turns = [Turns(stack, runs) for runs in RUNS]
+        for writer in alone:
+            stack.callback(writer.close)
+        subjects = [Subject(f"recorder, {work.group} rows at a time", work, "wall") for work in alone]
+        subjects += [Subject(f"recorder, runs in turns: {len(work.names)}", work, "wall") for work in turns]
+        return in_turns(subjects, seconds / 2)
 
 
-def _recorder(group: int, seconds: float) -> Figure:
-    rows = _rows(group)
-    with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
-        writer = JournalWriter.create(Path(folder), Identity("run", "", "", SHAPE))
-        writer.begin_turn(1, time.time())
-        began, done = time.perf_counter(), 0
-        while time.perf_counter() - began < seconds:
-            writer.append(Stretch(done, rows), 1, time.time())
-            done += group
-        passed = time.perf_counter() - began
-        writer.close()
+def _folder(stack: ExitStack) -> Path:
+    return Path(stack.enter_context(tempfile.TemporaryDirectory(dir=Path.cwd())))
+
+
+class Alone:
+    """A journal, a transaction at a time."""
+
     remark = "wall time; a transaction each, synced to the disk of this folder"
-    return Figure(f"recorder, {group} rows at a time", done, passed, "wall", remark)
+    stages: Mapping[str, float] = {}
+
+    def __init__(self, folder: Path, group: int) -> None:
+        self.group = group
+        self._rows = _rows(group)
+        self._done = 0
+        self._writer = JournalWriter.create(folder, Identity("run", "", "", SHAPE))
+        self._writer.begin_turn(1, time.time())
+
+    def close(self) -> None:
+        self._writer.close()
+
+    def __call__(self, meter: Meter) -> float:
+        with meter.running():
+            self._writer.append(Stretch(self._done, self._rows), 1, time.time())
+        self._done += self.group
+        return self.group
 
 
-def _interleaved(runs: int, seconds: float) -> Figure:
-    names = [f"run-{number}" for number in range(runs)]
-    with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder, Books(Path(folder) / "job", "job") as books:
-        books.open(_opening(names))
-        message = to_message(Stretch(0, _rows(SLICE)), "", books.epoch, SHAPE)
-        began, done = time.perf_counter(), 0
-        while time.perf_counter() - began < seconds:
-            for name in names:
-                books.take(replace(message, run=name, first=done), time.monotonic())
-                _commit(books, time.monotonic())
-            done += SLICE
-        _commit(books, inf)
-        passed = time.perf_counter() - began
+class Turns:
+    """Runs whose rows arrive in turns, committed in groups."""
+
     remark = f"wall time; {SLICE} rows in a message, committed in groups"
-    return Figure(f"recorder, runs in turns: {runs}", done * runs, passed, "wall", remark)
+    stages: Mapping[str, float] = {}
+
+    def __init__(self, stack: ExitStack, runs: int) -> None:
+        self.names = [f"run-{number}" for number in range(runs)]
+        self._books = stack.enter_context(Books(_folder(stack) / "job", "job"))
+        self._books.open(_opening(self.names))
+        self._message = to_message(Stretch(0, _rows(SLICE)), "", self._books.epoch, SHAPE)
+        self._done = 0
+
+    def __call__(self, meter: Meter) -> float:
+        """Take so many messages that most groups are complete, and commit what is left."""
+        with meter.running():
+            for _ in range(MESSAGES):
+                for name in self.names:
+                    self._books.take(replace(self._message, run=name, first=self._done), time.monotonic())
+                    _commit(self._books, time.monotonic())
+                self._done += SLICE
+            _commit(self._books, inf)
+        return MESSAGES * SLICE * len(self.names)
 
 
 def _opening(names: list[str]) -> Open:

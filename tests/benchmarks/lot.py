@@ -1,0 +1,132 @@
+"""A lot: evaluations of one search in one world, perhaps beside the naive path's of the same genomes."""
+
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+from tests.benchmarks.measure import ROUNDS, Figure, Meter
+from tests.benchmarks.naive import Naive
+from tests.benchmarks.stages import Profile
+
+from qdgrasp_coordinator.pace import BATCH_SECONDS, FIRST_ROWS
+from qdgrasp_coordinator.search import Search
+from qdgrasp_protocol.genome import Genomes
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.service import SLICE
+
+WATCHED = 0.5
+"""Time under a watch, as a share of the time without."""
+
+
+class Lot:
+    """What one search asks, evaluated in batches as large as a worker would get them."""
+
+    def __init__(
+        self,
+        name: str,
+        search: Search,
+        prior: str,
+        evaluator: Evaluator,
+        naive: Naive | None = None,
+        first: int = 0,
+    ) -> None:
+        self.name = name
+        self._search = search
+        self._prior = prior
+        self._evaluator = evaluator
+        self._naive = naive
+        self._generation = first
+        self._waiting = np.zeros((0, 0), np.float32)
+        self._told: list[Rows] = []
+        self._outcomes: list[NDArray[np.uint8]] = []
+        self._profile = Profile()
+        self._own, self._other, self._watched = Meter(), Meter(), Meter()
+        self._rows = 0
+
+    def skip(self, rows: int) -> "Lot":
+        """Evaluate some genomes that are not counted."""
+        for _ in range(0, rows, FIRST_ROWS):
+            self._evaluate(self._next(FIRST_ROWS))
+        return self
+
+    def one(self, rows: int) -> int:
+        """Evaluate one batch of so many rows, or fewer; how many that were."""
+        genomes = self._next(rows)
+        self._evaluate(genomes)
+        return len(genomes)
+
+    def measured(self, seconds: float) -> Figure:
+        """Measure it for so long, the naive path included; and a part of that under a watch."""
+        rates, times = [], []
+        self._outcomes.clear()
+        for _ in range(ROUNDS):
+            own, other, rows = self._own.seconds, self._other.seconds, self._rows
+            self._round(seconds / ROUNDS)
+            own, other = self._own.seconds - own, self._other.seconds - other
+            rates.append((self._rows - rows) / own)
+            times.append(other / own)
+        return Figure(
+            self.name,
+            self._rows,
+            self._own.seconds,
+            remark=self._remark,
+            rates=tuple(rates),
+            naive=tuple(times) if self._naive else (),
+            stages=self._profile.stages(1e6 / median(rates)),
+        )
+
+    def _round(self, seconds: float) -> None:
+        began = self._own.seconds + self._other.seconds
+        while self._own.seconds + self._other.seconds < began + seconds:
+            genomes = self._next(self._batch)
+            with self._own.running():
+                self._evaluate(genomes)
+            if self._naive:
+                with self._other.running():
+                    self._naive.evaluate(self._prior, genomes)
+            self._rows += len(genomes)
+        while self._watched.seconds < WATCHED * self._own.seconds:
+            genomes = self._next(self._batch)
+            with self._watched.running(), self._profile.watching(len(genomes)):
+                self._evaluate(genomes)
+
+    @property
+    def _batch(self) -> int:
+        """Rows that the coordinator would lease, as far as the worker evaluates them at once."""
+        if not self._rows:
+            return FIRST_ROWS
+        return max(1, min(SLICE, int(BATCH_SECONDS * self._rows / self._own.seconds)))
+
+    def _next(self, rows: int) -> Genomes:
+        """The next genomes, at most so many; the search hears of a generation that is complete."""
+        if not len(self._waiting):
+            self._tell()
+            self._waiting = self._search.ask(self._generation)
+        genomes, self._waiting = self._waiting[:rows], self._waiting[rows:]
+        return genomes
+
+    def _evaluate(self, genomes: Genomes) -> None:
+        trials = np.zeros(len(genomes), np.uint16)
+        self._told.append(self._evaluator.evaluate(self._prior, genomes, trials).rows)
+        self._outcomes.append(self._told[-1]["outcome"])
+
+    def _tell(self) -> None:
+        """Tell the search of the generation that is complete, if one is."""
+        if not self._told:
+            return
+        rows = np.concatenate(self._told)
+        rows["generation"], rows["index"] = self._generation, np.arange(len(rows))
+        self._search.tell(self._generation, rows)
+        self._generation += 1
+        self._told.clear()
+
+    @property
+    def _remark(self) -> str:
+        outcomes = np.concatenate(self._outcomes)
+        overlaps, successes = (outcomes == Outcome.OVERLAP).mean(), (outcomes >= Outcome.DROPPED).mean()
+        return (
+            f"{overlaps:.0%} overlaps, {successes:.0%} successes; {self._profile.steps_each:.0f} steps, "
+            f"{self._profile.step_share:.0%} of the time"
+        )
