@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.cells import cells, keys
@@ -60,12 +61,18 @@ def grasps(folder: RunFolder) -> Rows:
     return rows[rows["outcome"] >= Outcome.SHAKEN]
 
 
-def best(rows: Rows, most: int) -> Rows:
-    """The best row of each 1 cm cell, and of these the `most` best, best first.
+def best(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
+    """The best row of each kind, and of these the `most` best, best first.
 
     One row is better than another with a greater fitness; of equals with less penetration; of equals with
     more contacts; of equals the earlier one in the journal.
+
+    Parameters
+    ----------
+    kinds
+        (n,): a number for each row, equal for those of a kind; None: their 1 cm cells.
     """
+    kinds = keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
     order = np.lexsort(
         (
             rows["index"],
@@ -75,9 +82,8 @@ def best(rows: Rows, most: int) -> Rows:
             -rows["fitness"],
         )
     )
-    ranked = rows[order]
-    _, first = np.unique(keys(cells(ranked["descriptor"][:, :3])), return_index=True)
-    return ranked[np.sort(first)][:most]
+    _, first = np.unique(kinds[order], return_index=True)
+    return rows[order[np.sort(first)]][:most]
 
 
 def note_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:

@@ -14,6 +14,8 @@ from qdgrasp_coordinator.cells import cells, keys
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.journal_format import Identity
 from qdgrasp_coordinator.journal_writer import JournalWriter
+from qdgrasp_coordinator.niches import UNKNOWN, niches
+from qdgrasp_coordinator.orientations import MIDDLES
 from qdgrasp_coordinator.ranking import best, grasps, is_reranking, note_source, ranked, write_ranking
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_protocol.outcome import Outcome
@@ -90,6 +92,14 @@ def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, m
     assert len(set(places)) == len(chosen) == min(most, len(set(keys(cells(found["descriptor"])))))
     for place, row in zip(places, chosen, strict=True):
         assert row["fitness"] == found["fitness"][keys(cells(found["descriptor"])) == place].max()
+
+
+def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
+    found = rows(*[Outcome.HELD] * 4)
+    found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0, 1]]
+    found["penetration"] = [0.002, 0.001, 0.001, 0.002]
+    assert best(found, 4)["index"].tolist() == [1]
+    assert best(found, 4, niches(found, UNKNOWN))["index"].tolist() == [1, 2]
 
 
 def test_only_grasps_are_scored_again(record: Record) -> None:

@@ -13,6 +13,7 @@ from qdgrasp_coordinator.niches import (
     UNKNOWN,
     Keys,
     NicheArchive,
+    Synergies,
     cell_of,
     synergies,
     without_orientation,
@@ -47,10 +48,15 @@ class Diversity(Struct, frozen=True, kw_only=True):
         )
 
 
-def niche_archive(folder: RunFolder) -> NicheArchive:
-    """An empty archive for the rows of a run; without its scene, one that takes its synergies for one."""
+def synergies_of(folder: RunFolder) -> Synergies:
+    """How the genomes of a run name synergies; without its scene all are taken for one."""
     known = folder.has_bundle()
-    return NicheArchive(synergies(folder.scene(), METHODS[folder.spec.method].prior) if known else UNKNOWN)
+    return synergies(folder.scene(), METHODS[folder.spec.method].prior) if known else UNKNOWN
+
+
+def niche_archive(folder: RunFolder) -> NicheArchive:
+    """An empty archive for the rows of a run."""
+    return NicheArchive(synergies_of(folder))
 
 
 def diversity(archive: NicheArchive) -> Diversity:

@@ -8,11 +8,13 @@ import typer
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator import preparation
+from qdgrasp_coordinator.analysis.diversity import synergies_of
 from qdgrasp_coordinator.analysis.harvest import identity
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out
 from qdgrasp_coordinator.cli.run import finish
 from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.niches import niches
 from qdgrasp_coordinator.poses import as_given
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.ranking import best, grasps, note_source
@@ -32,6 +34,9 @@ def rerank(
     top: Annotated[
         int, typer.Option(min=1, max=MOST, help="How many grasps; all where there are fewer.")
     ] = 100,
+    by_niche: Annotated[
+        bool, typer.Option("--niches", help="Take the best of each niche: cell, orientation and synergy.")
+    ] = False,
     discard_table: Annotated[
         bool, typer.Option("--discard-table", help="Leave out hands that cut a table under the object.")
     ] = False,
@@ -52,7 +57,7 @@ def rerank(
 ) -> None:
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
-    Taken is the best grasp of each 1 cm cell, and of these the best ones. The folder is that of a run:
+    Taken is the best grasp of each cell or niche, and of these the best ones. The folder is that of a run:
     `qdgrasp resume` goes on with it, and workers may join. ranking.csv in it holds every grasp by eta.
 
     Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
@@ -64,7 +69,8 @@ def rerank(
     source = RunFolder.open(directory)
     folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
     RunFolder.check_free(folder)
-    chosen = _chosen(source, top, (object_pose or "0,0,0") if discard_table else None)
+    found = _grasps(source, (object_pose or "0,0,0") if discard_table else None)
+    chosen = best(found, top, niches(found, synergies_of(source)) if by_niche else None)
     spec = spec_of(source, protocol, chosen)
     team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
     with display(folder.name, spec.evaluations) as shown:
@@ -78,8 +84,8 @@ def rerank(
     finish(begun, stop)
 
 
-def _chosen(source: RunFolder, top: int, object_pose: str | None) -> Rows:
-    """The best grasps of a run, clear of a table if the object stands on one."""
+def _grasps(source: RunFolder, object_pose: str | None) -> Rows:
+    """The grasps of a run, clear of a table if the object stands on one."""
     found = grasps(source)
     if not len(found):
         raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
@@ -93,7 +99,7 @@ def _chosen(source: RunFolder, top: int, object_pose: str | None) -> Rows:
         raise InputError(
             f"Every grasp in {source.path} would cut the table; turn the object with --object-pose."
         )
-    return best(found, top)
+    return found
 
 
 def spec_of(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:

@@ -21,7 +21,7 @@ from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
-SPEC = RunSpec(gripper="panda", object="tennis_ball", mass=0.07, seed=5)
+SPEC = RunSpec(gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5)
 
 
 @pytest.fixture
