@@ -18,6 +18,8 @@ class Space:
     """The box of hand positions that are kept."""
     approach_axis: Vector = (0.0, 0.0, 1.0)
     """Unit vector in the hand's base frame that points from the palm to the object."""
+    distances: tuple[float, float] = (0.0, 0.1)
+    """The least and the greatest from the hand's base to the surface point that it looks at [m]."""
 
     @property
     def genes(self) -> int:
@@ -33,4 +35,6 @@ def space(scene: Scene, prior: str) -> Space:
     JawNeeded
         The prior is for two-finger hands, and this hand is none.
     """
-    return Space(layout(scene, prior), archive_box(scene, prior), scene.gripper.approach_axis)
+    hand = scene.gripper
+    distances = (hand.palm_offset + hand.standoff[0], hand.reach)
+    return Space(layout(scene, prior), archive_box(scene, prior), hand.approach_axis, distances)

@@ -100,7 +100,8 @@ def space(prior: str, posture: tuple[str, ...] = ()) -> Space:
     reach = PALM + DEEPEST
     box = (-SIZE / 2 - reach, SIZE / 2 + reach)
     own = _aimed(box) if prior == AIMED else _contact()
-    return Space(Layout(prior, own + tuple(Gene(name, 0.0, 1.0) for name in posture)), box, tuple(AXIS))
+    layout = Layout(prior, own + tuple(Gene(name, 0.0, 1.0) for name in posture))
+    return Space(layout, box, tuple(AXIS), (PALM, reach))
 
 
 def shape(where: Space) -> Shape:

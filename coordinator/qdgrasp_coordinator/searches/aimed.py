@@ -10,8 +10,6 @@ New in this project, not from the paper. What selects is success alone; where th
 the tries go to cells whose grasp is not robust, beside robust ones.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from qdgrasp_assets.genes import MOST_CANDIDATES
@@ -29,7 +27,7 @@ from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
 
-START = 150
+START = 100
 """Genomes that scout before any is aimed."""
 SCOUTS = 0.02
 """The share that scouts later."""
@@ -43,19 +41,6 @@ SAME = 0.1
 """Grasps whose ranks differ by less are taken for equally good."""
 
 
-@dataclass(frozen=True)
-class Taught:
-    """What the models of a search know before it has tried anything: weights, or None."""
-
-    frontier: Floats | None = None
-    """(4,): of `frontier.FEATURES`."""
-    ranker: Floats | None = None
-    """(6,): of the features of the prior `aimed`."""
-
-
-UNTAUGHT = Taught()
-
-
 class Aimed:
     """Aims at empty cells beside successes.
 
@@ -65,16 +50,14 @@ class Aimed:
         Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
     space
         Of the prior `aimed`.
-    taught
-        What both models know from the beginning.
     """
 
-    def __init__(self, spec: RunSpec, space: Space, taught: Taught = UNTAUGHT) -> None:
+    def __init__(self, spec: RunSpec, space: Space) -> None:
         self._spec = spec
         self._space = space
-        self._frontier = Frontier(space.box, taught.frontier)
+        self._frontier = Frontier(space.box, space.distances[1])
         self._hints = Hints(self._frontier.size, space.approach_axis, space.genes - OWN)
-        self._ranker = Ranker(taught.ranker)
+        self._ranker = Ranker()
         self._spare = Spare(self._frontier, self._hints)
         self._open: dict[int, Floats] = {}
         """Of generations that are not told yet, what was known of the empty cells that they aim at."""

@@ -3,7 +3,8 @@
 A cell is worth a try when it is likely to hold a success and little was spent on it:
 likelihood / (tries + dead ends / 2 + 1), where a try is a simulated pose and a dead end a genome of which
 nothing could be simulated. How likely it is, the search learns, from the distance between the cell and the
-contact point of the nearest success beside it, and from how many of its 26 neighbours hold a success.
+contact point of the nearest success beside it, and from how many of its 26 neighbours hold a success. It does
+not begin from nothing: in units of a hand's reach, all hands and objects teach nearly the same.
 """
 
 import numpy as np
@@ -16,12 +17,10 @@ from qdgrasp_coordinator.searches.logistic import Logistic
 
 Places = NDArray[np.intp]
 """(n,): cells of a frontier, as places in its grid."""
-DECIMETRE = 0.1
-"""The unit of distances as features [m]: what a hand is from what it grasps."""
 DEAD_END = 0.5
 """What a dead end weighs against a try: it costs no simulation, and the next draw may be none."""
-FEATURES = ("distance", "distance squared", "share of neighbours", "constant")
-"""What is known of an empty cell beside a success."""
+USUAL = (1.0, -5.0, 3.0, 2.0)
+"""What `features` weigh before the first fit: what finished runs of all hands and objects nearly agree on."""
 NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
 """(26, 3): the steps from a cell to those around it."""
 
@@ -36,11 +35,11 @@ class Frontier:
     ----------
     box
         The box of positions, enlarged to whole cells.
-    weights
-        (4,): how likely a success is, by `FEATURES`, until it is learned here; None: by neighbours alone.
+    reach
+        The greatest distance from the hand to the surface point that it looks at [m].
     """
 
-    def __init__(self, box: Box, weights: Floats | None = None) -> None:
+    def __init__(self, box: Box, reach: float) -> None:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         self._shape = tuple(
             (self._high - self._low + 3).tolist()
@@ -52,7 +51,8 @@ class Frontier:
         self._successful = np.zeros(size, np.bool_)
         self._neighbours = np.zeros(size, np.uint8)
         self._distances = np.full(size, np.inf, np.float32)
-        self._model = Logistic(len(FEATURES), weights)
+        self._reach = reach
+        self._model = Logistic(USUAL)
         self._within = np.zeros(self._shape, np.bool_)
         self._within[1:-1, 1:-1, 1:-1] = True
         self._within = self._within.reshape(-1)
@@ -117,8 +117,11 @@ class Frontier:
         self._edge = edge[~self._successful[edge]]
 
     def features(self, places: Places) -> Floats:
-        """What is known of cells (n,) beside successes before they are tried: (n, 4), the last constant."""
-        distances = self._distances[places].astype(np.float64) / DECIMETRE
+        """What is known of cells (n,) beside successes before they are tried: (n, 4).
+
+        The distance in units of the hand's reach, its square, the share of successful neighbours, and 1.
+        """
+        distances = self._distances[places].astype(np.float64) / self._reach
         shares = self._neighbours[places] / len(NEIGHBOURS)
         return np.stack([distances, distances * distances, shares, np.ones(len(places))], axis=1)
 
@@ -127,10 +130,8 @@ class Frontier:
         self._model.learn(features, successes)
 
     def worth(self, places: Places) -> Floats:
-        """What a try in each of `places` (n,) promises, 0 to 1; by neighbours alone until a fit."""
-        features = self.features(places)
-        likely = self._model.likely(features) if self._model.is_taught else (1.0 + features[:, 2]) / 2.0
-        worth: Floats = likely / (self.spent(places) + 1.0)
+        """What a try in each of `places` (n,) promises, 0 to 1."""
+        worth: Floats = self._model.likely(self.features(places)) / (self.spent(places) + 1.0)
         return worth
 
     def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:

@@ -1,7 +1,7 @@
 """Logistic regression, fitted now and then to the latest of what was heard."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.rotation import Floats
 
@@ -20,28 +20,22 @@ reach the genomes."""
 
 
 class Logistic:
-    """How likely a success is, given `features` numbers, the last of which is constant.
+    """How likely a success is, given numbers of which the last is constant.
 
     Parameters
     ----------
     start
-        (features,): the weights until the first fit, and the mean of their prior in all fits; None: zeros.
+        (features,): the weights until the first fit, and the mean of their prior in all fits.
     """
 
-    def __init__(self, features: int, start: Floats | None = None) -> None:
-        self._start: Floats = np.zeros(features) if start is None else _in_grains(start)
+    def __init__(self, start: ArrayLike) -> None:
+        self._start = _in_grains(np.asarray(start, np.float64))
         self.weights: Floats = self._start
         """One for each feature, in whole grains."""
-        self._is_taught = start is not None
-        self._features = np.zeros((MEMORY, features))
+        self._features = np.zeros((MEMORY, len(self._start)))
         self._successes = np.zeros(MEMORY, np.bool_)
         self._heard = 0
         self._fitted = 0
-
-    @property
-    def is_taught(self) -> bool:
-        """Whether it says anything yet."""
-        return self._is_taught or self._fitted > 0
 
     def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
         """Hear of examples: features (n, k) and which of them were successes."""

@@ -12,18 +12,15 @@ from qdgrasp_protocol.rows import Rows
 class Ranker:
     """A logistic regression of success on the features that the prior `aimed` tells of the pose it took.
 
-    Parameters
-    ----------
-    weights
-        (6,): what it begins with; None: nothing.
+    It begins from nothing: what ranks poses on one object misleads on another.
     """
 
-    def __init__(self, weights: Floats | None = None) -> None:
-        self._model = Logistic(len(FEATURES), weights)
+    def __init__(self) -> None:
+        self._model = Logistic(np.zeros(len(FEATURES)))
 
     @property
     def weights(self) -> Floats:
-        """One for each feature, as their genes can carry them; zeros where it was taught nothing yet."""
+        """One for each feature, as their genes can carry them; zeros before the first fit."""
         return bearable(self._model.weights)
 
     def learn(self, simulated: Rows) -> None:

@@ -1,7 +1,8 @@
 """Scouts: aims without a success to learn from, for a first one, and for some in places far from others.
 
 A scout aims as the prior `approach` would at a box: at a cell before one of its faces, at most 45 degrees
-aside. It knows the object's box and the hand's reach, from its space, and leaves the surface to the worker.
+aside, and near it, where hands hold. It knows the object's box and the hand's distances, from its space, and
+leaves the surface to the worker.
 """
 
 import numpy as np
@@ -11,8 +12,8 @@ from qdgrasp_assets.rotation import Floats, tangents, turned
 from qdgrasp_coordinator.searches.aims import CONTACT, OWN, TARGET, Aims
 from qdgrasp_coordinator.space import Space
 
-NEAREST = 0.5
-"""The least distance from the face, as a share of the hand's reach; hands cannot work much nearer."""
+NEAR = 0.5
+"""The nearer share of the hand's distances: farther off hardly anything is held, by any hand."""
 TIGHTEST = 0.3
 """The least looseness, as a share of the greatest."""
 
@@ -31,8 +32,9 @@ def scouts(space: Space, n: int, astray: float, loosest: float, generator: np.ra
     """
     low, high = (corner[CONTACT] for corner in space.layout.intervals)
     bottom, top = (corner[TARGET] for corner in space.layout.intervals)
+    nearest, farthest = space.distances
     contacts, outward = _on_faces(low, high, n, generator)
-    distances = generator.uniform(NEAREST, 1.0, n) * float((top - high).mean())
+    distances = nearest + NEAR * (farthest - nearest) * generator.random(n)
     targets = contacts + distances[:, None] * _leaning(outward, generator)
     looseness = loosest * generator.uniform(TIGHTEST, 1.0, n)
     anywhere = generator.uniform(bottom, top, (n, 3))

@@ -28,18 +28,16 @@ def test_features_that_tell_everything_leave_it_finite() -> None:
 
 
 def test_nothing_is_learned_of_one_kind_of_outcome() -> None:
-    model = Logistic(6)
+    model = Logistic(UNKNOWN)
     features, _ = poses(PATIENCE * 2)
     model.learn(features, np.ones(len(features), bool))
-    assert not model.is_taught
     assert not model.weights.any()
     model.learn(features[:FEW], np.zeros(FEW, bool))
-    assert model.is_taught
     assert model.weights.any()
 
 
 def test_likelihoods_are_those_of_the_examples() -> None:
-    model = Logistic(6)
+    model = Logistic(UNKNOWN)
     features, successes = poses(2000)
     model.learn(features, successes)
     likely = model.likely(features)
@@ -49,7 +47,7 @@ def test_likelihoods_are_those_of_the_examples() -> None:
 
 
 def test_it_forgets_what_is_long_ago() -> None:
-    model = Logistic(6)
+    model = Logistic(UNKNOWN)
     features, successes = poses(3000)
     model.learn(features, ~successes)
     assert model.weights[0] < 0
@@ -59,7 +57,7 @@ def test_it_forgets_what_is_long_ago() -> None:
 
 
 def test_blocks_of_any_length_say_the_same() -> None:
-    one, other = Logistic(6), Logistic(6)
+    one, other = Logistic(UNKNOWN), Logistic(UNKNOWN)
     features, successes = poses(5000)
     one.learn(features, successes)
     for place in range(0, 5000, PATIENCE * 10):
@@ -69,15 +67,14 @@ def test_blocks_of_any_length_say_the_same() -> None:
 
 
 def test_weights_are_whole_grains() -> None:
-    model = Logistic(6)
+    model = Logistic(UNKNOWN)
     model.learn(*poses(PATIENCE))
     assert (model.weights * GRAIN == np.rint(model.weights * GRAIN)).all()
 
 
 def test_what_it_is_taught_holds_until_examples_say_otherwise() -> None:
-    taught, untaught = Logistic(6, TRUE), Logistic(6)
+    taught, untaught = Logistic(TRUE), Logistic(UNKNOWN)
     features, successes = poses(PATIENCE)
-    assert taught.is_taught
     assert taught.likely(features) == pytest.approx(1 / (1 + np.exp(-features @ TRUE)), abs=0.02)
     taught.learn(features, successes)
     untaught.learn(features, successes)

@@ -20,7 +20,7 @@ class Found:
     """A search's cells, as far as successes are heard of."""
 
     def __init__(self) -> None:
-        self.frontier = Frontier(BOX)
+        self.frontier = Frontier(BOX, 0.1)
         self.hints = Hints(self.frontier.size, (0.0, 0.0, 1.0), 0)
         self.spare = Spare(self.frontier, self.hints)
 
