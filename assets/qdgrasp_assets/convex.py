@@ -1,37 +1,35 @@
-"""Convex parts of a mesh: one hull where it is convex, else CoACD in a process of its own, cached on disk.
+"""Convex parts of a mesh: as few as leave a finger the room that it has in front of the mesh itself.
 
-Run as a module (`python -m qdgrasp_assets.convex IN.npz OUT.obj`) this is that process.
+One hull where that will do, else what CoACD finds, coarse to fine; kept on disk
+(docs/decisions/parts-leave-room.md).
 """
 
 import hashlib
 import logging
-import os
-import signal
-import subprocess
-import sys
 import tempfile
-import threading
+import time
 from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
-
+from qdgrasp_assets import room
+from qdgrasp_assets.decompose import CORNERS, TOLERANCE, TookTooLong, decompose, simple
 from qdgrasp_assets.files import cache_folder
-from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj, read_parts
-from qdgrasp_assets.objects.solids import geodesic, hull
+from qdgrasp_assets.mesh import Mesh, parts_to_obj, read_parts
+from qdgrasp_assets.objects.solids import hull
+from qdgrasp_assets.room import Room
 from qdgrasp_protocol.errors import AssetError
 
 log = logging.getLogger(__name__)
 
-THRESHOLD = 0.025
-"""CoACD's concavity; with 0.05 and more the handle of a mug is filled and half of its grasps are lost."""
-TIME_LIMIT = 1200.0  # s; a scan of 16 000 triangles takes 2 to 6 minutes
-CONVEX = 0.999  # a mesh that fills this share of its hull is convex
-FREQUENCY = 3  # a part keeps at most the support points of geodesic(3): 92
+THRESHOLDS = (0.1, 0.05, 0.025)
+"""CoACD's concavities in the order in which they are tried: the first whose parts fit is taken."""
+TIME_LIMIT = 1200.0  # s, for all of them; a scan of 16 000 triangles takes some minutes
 
 
 def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple[Mesh, ...]:
-    """Convex parts that together fill the mesh, in its frame; the same mesh gives the same parts.
+    """Convex parts that together stand for a mesh, in its frame; the same mesh gives the same parts.
+
+    Where no parts fit, or time runs out, the finest there are are taken, with a warning.
 
     Parameters
     ----------
@@ -45,18 +43,19 @@ def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple
     Raises
     ------
     AssetError
-        CoACD failed or took too long.
+        CoACD failed, or found nothing in time; or the parts cannot be kept.
     """
-    if is_convex(mesh):
-        return (simple(hull(mesh.vertices)),)
+    at_hand = parts_at_hand(mesh)
+    if at_hand is not None:
+        return at_hand
+    log.warning(
+        "Decomposing '%s' (%d triangles) into convex parts, once; this takes up to a few minutes.",
+        name,
+        len(mesh.faces),
+    )
     cached = _cached(mesh)
-    if not cached.is_file():
-        log.warning(
-            "Decomposing '%s' (%d triangles) into convex parts, once; this takes up to a few minutes.",
-            name,
-            len(mesh.faces),
-        )
-        _decompose(mesh, name, cached, time_limit)
+    _make_folder(cached.parent, name)
+    _keep(_coarsest(mesh, name, time_limit), cached, name)
     return read_parts(cached)
 
 
@@ -67,22 +66,39 @@ def collision_parts(mesh: Mesh, name: str) -> tuple[str, tuple[Mesh, ...]]:
 
 def parts_at_hand(mesh: Mesh) -> tuple[Mesh, ...] | None:
     """What `convex_parts` gives, where that takes no time; None where CoACD has not run yet."""
+    if is_convex(mesh):
+        return (simple(hull(mesh.vertices)),)
     cached = _cached(mesh)
-    return convex_parts(mesh, "") if is_convex(mesh) or cached.is_file() else None
+    return read_parts(cached) if cached.is_file() else None
 
 
 def is_convex(mesh: Mesh) -> bool:
-    """Whether the mesh fills its hull."""
-    return mesh.volume >= CONVEX * hull(mesh.vertices).volume
+    """Whether a mesh is convex as far as a finger can tell: its hull leaves the same room."""
+    return Room(mesh).fit((hull(mesh.vertices),)).is_good
 
 
-def simple(part: Mesh) -> Mesh:
-    """A convex part with its support points in 92 directions only, taken in the unit cube; or as it is."""
-    directions = geodesic(1.0, FREQUENCY).vertices
-    if len(part.vertices) <= len(directions):
-        return part
-    scaled = part.vertices / part.extents
-    return hull(part.vertices[np.unique((scaled @ directions.T).argmax(axis=0))])
+def _coarsest(mesh: Mesh, name: str, time_limit: float) -> tuple[Mesh, ...]:
+    """The fewest parts that fit, or the last that were found."""
+    space, deadline = Room(mesh), time.monotonic() + time_limit
+    found: tuple[Mesh, ...] = ()
+    for threshold in THRESHOLDS:
+        try:
+            found = decompose(mesh, name, threshold, deadline - time.monotonic())
+        except TookTooLong:
+            if not found:
+                raise TookTooLong(name, time_limit) from None
+            break
+        if space.fit(found).is_good:
+            return found
+    log.warning(
+        "The %d convex parts of '%s' fill the room in front of %.0f %% of its surface, where grasps may be "
+        "lost; %s.",
+        len(found),
+        name,
+        100 * space.fit(found).filled,
+        "there was no time for finer ones" if time.monotonic() > deadline else "finer ones are not tried",
+    )
+    return found
 
 
 def _cached(mesh: Mesh) -> Path:
@@ -91,73 +107,32 @@ def _cached(mesh: Mesh) -> Path:
 
 
 def _key(mesh: Mesh) -> str:
-    """Names a decomposition: of this mesh, by this version, with these parameters."""
-    parameters = f"coacd {version('coacd')} threshold {THRESHOLD} frequency {FREQUENCY}"
+    """Names a decomposition: of this mesh, by this version, with this rule."""
+    rule = (THRESHOLDS, TOLERANCE, CORNERS, room.POINTS, room.AHEAD, room.OFF, room.MOST)
     geometry = mesh.vertices.astype("<f8").tobytes() + mesh.faces.astype("<u4").tobytes()
-    return hashlib.sha256(parameters.encode() + geometry).hexdigest()
+    return hashlib.sha256(f"coacd {version('coacd')} {rule}".encode() + geometry).hexdigest()
 
 
-def _decompose(mesh: Mesh, name: str, target: Path, time_limit: float) -> None:
-    """Have CoACD write the parts to `target`, whole or not at all."""
+def _keep(parts: tuple[Mesh, ...], target: Path, name: str) -> None:
+    """Write the parts to `target`, whole or not at all."""
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-            given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
-            np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
-            _run_coacd(given, found, name, time_limit)
-            found.replace(target)
+        with tempfile.NamedTemporaryFile(dir=target.parent, delete=False) as file:
+            file.write(parts_to_obj(parts))
+        Path(file.name).replace(target)
     except OSError as error:
-        raise AssetError(
-            f"The convex parts of '{name}' cannot be kept in '{target.parent}': {error.strerror or error}; "
-            "name another folder with QDGRASP_CACHE."
-        ) from None
+        raise _not_kept(target.parent, name, error) from None
 
 
-def _run_coacd(given: Path, found: Path, name: str, time_limit: float) -> None:
-    command = [sys.executable, "-m", __spec__.name, str(given), str(found)]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    ) as process:
-        try:
-            process.wait(time_limit)
-        except subprocess.TimeoutExpired:
-            raise AssetError(
-                f"CoACD did not decompose the mesh '{name}' into convex parts within {time_limit:g} s; "
-                "simplify the mesh, for example to 20 000 triangles."
-            ) from None
-        finally:
-            process.kill()
-        if process.returncode or not found.is_file():
-            last = (process.stderr.read() if process.stderr else b"").decode(errors="replace").strip()[-200:]
-            raise AssetError(
-                f"CoACD could not decompose the mesh '{name}' into convex parts (exit code "
-                f"{process.returncode}): {last or 'it says nothing'}."
-            )
+def _make_folder(folder: Path, name: str) -> None:
+    """Make the folder before the long work, not after it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _not_kept(folder, name, error) from None
 
 
-def main() -> None:
-    """Decompose the mesh in the first file into the second; end with whoever started this process."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    threading.Thread(target=_end_with_starter, daemon=True).start()
-    given = np.load(sys.argv[1])
-    parts = [simple(hull(points)) for points in _coacd(given["vertices"], given["faces"])]
-    Path(sys.argv[2]).write_bytes(parts_to_obj(parts))
-
-
-def _end_with_starter() -> None:
-    """Wait for the end of standard input, whose other end the starter holds."""
-    while os.read(0, 1024):
-        pass
-    os._exit(1)
-
-
-def _coacd(vertices: Floats, faces: Floats) -> list[Floats]:
-    import coacd
-
-    coacd.set_log_level("error")
-    parts = coacd.run_coacd(coacd.Mesh(vertices, faces), threshold=THRESHOLD, seed=0)
-    return [np.asarray(points, dtype=np.float64) for points, _ in parts]
-
-
-if __name__ == "__main__":
-    main()
+def _not_kept(folder: Path, name: str, error: OSError) -> AssetError:
+    return AssetError(
+        f"The convex parts of '{name}' cannot be kept in '{folder}': {error.strerror or error}; "
+        "name another folder with QDGRASP_CACHE."
+    )

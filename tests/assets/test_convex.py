@@ -1,13 +1,17 @@
+"""The rule by which convex parts are chosen."""
+
 import logging
 
 import numpy as np
 import pytest
-import trimesh
 
 from qdgrasp_assets import convex
-from qdgrasp_assets.convex import convex_parts, simple
+from qdgrasp_assets.convex import THRESHOLDS, collision_parts, convex_parts
+from qdgrasp_assets.decompose import TookTooLong
 from qdgrasp_assets.mesh import Mesh
-from qdgrasp_assets.objects.solids import box, geodesic
+from qdgrasp_assets.objects.mug import mug
+from qdgrasp_assets.objects.solids import box, hull
+from qdgrasp_assets.room import Room
 from qdgrasp_protocol.errors import AssetError
 
 CORNERS = [(0, 0), (0.06, 0), (0.06, 0.02), (0.02, 0.02), (0.02, 0.06), (0, 0.06)]
@@ -36,6 +40,39 @@ def test_a_convex_mesh_is_its_own_part_and_needs_no_cache(cache):
     assert not cache.exists()
 
 
+def bowed() -> Mesh:
+    """A box with a dent of 1 mm in one face: a finger does not feel it."""
+    solid = box((0.1, 0.1, 0.1))
+    dent = len(solid.vertices)
+    top = [face for face in solid.faces.tolist() if (solid.vertices[face, 2] > 0).all()]
+    rest = [face for face in solid.faces.tolist() if face not in top]
+    rim = [(face[i], face[(i + 1) % 3]) for face in top for i in range(3)]
+    outer = [edge for edge in rim if edge[::-1] not in rim]
+    faces = rest + [[a, b, dent] for a, b in outer]
+    return Mesh(np.concatenate([solid.vertices, [(0, 0, 0.049)]]), np.array(faces))
+
+
+@pytest.fixture
+def found(monkeypatch):
+    """What CoACD is to find, by its threshold: parts, or an error."""
+    answers: dict[float, object] = {}
+
+    def decompose(mesh, name, threshold, time_limit):
+        answer = answers[threshold]
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr(convex, "decompose", decompose)
+    return answers
+
+
+def test_a_mesh_that_is_nearly_convex_is_its_own_part(cache):
+    assert bowed().volume < 0.9975 * box((0.1, 0.1, 0.1)).volume
+    source, (part,) = collision_parts(bowed(), "dented")
+    assert (source, len(part.vertices)) == ("own hull", 8)
+
+
 def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monkeypatch):
     with caplog.at_level(logging.WARNING):
         parts = convex_parts(angle, "angle.stl")
@@ -45,9 +82,43 @@ def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monk
     for part in parts:
         assert part.volume > 0
     assert [file.suffix for file in (cache / "convex").iterdir()] == [".obj"]
-    monkeypatch.setattr(convex, "_run_coacd", None)
+    monkeypatch.setattr(convex, "decompose", None)
     again = convex_parts(angle, "angle.stl")
     assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
+
+
+def test_a_mug_keeps_its_hollow_and_the_eye_of_its_handle():
+    surface, own = mug()
+    parts = convex_parts(surface, "mug")
+    assert Room(surface).fit(parts).is_good
+    assert len(parts) < len(own) < 64
+    low, high = surface.bounds
+    hollow, eye = (0, 0, high[2] - 0.01), (high[0] - 0.016, 0, (low[2] + high[2]) / 2)
+    for point in np.array([hollow, eye]):
+        assert not any(np.all((point - part.corners[:, 0]) * part.normals, axis=1).all() for part in parts)
+
+
+def test_the_coarsest_parts_that_fit_are_taken(found):
+    surface, own = mug()
+    found.update({THRESHOLDS[0]: (hull(surface.vertices),), THRESHOLDS[1]: own})
+    assert len(convex_parts(surface, "mug")) == len(own)
+
+
+def test_where_none_fit_the_finest_are_taken_with_a_warning(found, caplog):
+    surface, own = mug()
+    found.update(dict.fromkeys(THRESHOLDS, (hull(surface.vertices),)))
+    found[THRESHOLDS[-1]] = own[:-8]
+    with caplog.at_level(logging.WARNING):
+        assert len(convex_parts(surface, "mug")) == len(own) - 8
+    assert "finer ones are not tried" in caplog.text
+
+
+def test_where_time_runs_out_the_finest_found_are_taken_with_a_warning(found, caplog):
+    surface, _ = mug()
+    found.update({THRESHOLDS[0]: (hull(surface.vertices),), THRESHOLDS[1]: TookTooLong("mug", 1.0)})
+    with caplog.at_level(logging.WARNING):
+        assert len(convex_parts(surface, "mug", time_limit=0.0)) == 1
+    assert "no time for finer ones" in caplog.text
 
 
 def test_a_decomposition_that_takes_too_long_is_an_error_that_says_what_to_do(angle, cache):
@@ -61,12 +132,3 @@ def test_a_cache_that_cannot_be_written_is_named(angle, tmp_path, monkeypatch):
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "file"))
     with pytest.raises(AssetError, match=r"cannot be kept in '.*file.*'.*QDGRASP_CACHE"):
         convex_parts(angle, "angle.stl")
-
-
-def test_a_part_of_many_vertices_is_simplified_without_leaving_its_hull():
-    ball = geodesic(0.03, 8)
-    part = simple(Mesh(ball.vertices * (4, 1, 1), ball.faces))
-    assert len(part.vertices) <= 92
-    assert part.volume > 0.9 * 4 * ball.volume
-    assert (np.linalg.norm(part.vertices / (4, 1, 1), axis=1) <= 0.03 + 1e-9).all()
-    assert trimesh.Trimesh(part.vertices, part.faces, process=False).is_volume

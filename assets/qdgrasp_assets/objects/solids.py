@@ -28,6 +28,13 @@ def hull(points: Floats) -> Mesh:
     return Mesh(mesh.vertices, np.where(inward[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
+def heights(solid: Mesh, points: Floats) -> Floats:
+    """How far points (n, 3) are in front of each face of a convex solid (n, f) [m]; negative behind it."""
+    normals = solid.normals
+    found: Floats = points @ normals.T - np.einsum("fc,fc->f", normals, solid.corners[:, 0])
+    return found
+
+
 def box(sides: tuple[float, float, float]) -> Mesh:
     """A box of these sides [m] around the origin."""
     return hull(np.array(list(product((-0.5, 0.5), repeat=3))) * sides)

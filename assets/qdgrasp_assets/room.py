@@ -1,0 +1,85 @@
+"""The room around an object: where a finger finds space, and how much of it convex parts would fill.
+
+Convex parts stand for a mesh in the simulator. What they fill beyond it, no finger can reach: the hollow of
+a mug and the eye of its handle are what most of its grasps need (docs/decisions/parts-leave-room.md).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.mesh import Floats, Mesh
+from qdgrasp_assets.objects.solids import heights
+from qdgrasp_assets.surface import sample
+
+POINTS = 10_000
+AHEAD = 3e-3
+"""How far in front of the surface room is looked for [m]."""
+CLEAR = 2 * AHEAD
+"""The next surface in front must be as far as this [m]: no finger enters a narrower gap."""
+OFF = 2e-3
+"""A part's surface may be so far behind the mesh's [m]."""
+LIFT = 1e-6
+"""How far above the surface rays begin, so that they do not meet it again [m]."""
+MOST = 0.01
+"""Of the surface; the eye of a mug's handle, filled, is 2 %."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well convex parts stand for a mesh, in shares of its surface."""
+
+    filled: float
+    """In front of which there is room, and the parts fill it."""
+    bare: float
+    """That all parts are behind."""
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the parts change few verdicts."""
+        return max(self.filled, self.bare) <= MOST
+
+
+class Room:
+    """The room in front of the surface of a mesh."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
+        self._points, drawn = sample(mesh, POINTS, seed=0)
+        self._normals = mesh.normals[drawn]
+
+    def fit(self, parts: tuple[Mesh, ...]) -> Fit:
+        """How well convex `parts`, in the frame of the mesh, stand for it."""
+        filled = np.any([is_within(part, self._free, 0.0) for part in parts], axis=0)
+        covered = np.any([is_within(part, self._points, OFF) for part in parts], axis=0)
+        return Fit(float(filled.mean()) if len(filled) else 0.0, float(1.0 - covered.mean()))
+
+    @cached_property
+    def _free(self) -> Floats:
+        """Points (n, 3) [m], `AHEAD` in front of the surface, where there is room."""
+        clear = ahead(self._mesh, self._points + LIFT * self._normals, self._normals) > CLEAR
+        free: Floats = self._points[clear] + AHEAD * self._normals[clear]
+        return free
+
+
+def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
+    """Which of the points (n, 3) are in a convex part or, by its planes, within `margin` of it [m]: (n,)."""
+    low, high = part.bounds
+    within: NDArray[np.bool_] = np.all((points >= low - margin) & (points <= high + margin), axis=1)
+    within[within] = (heights(part, points[within]) <= margin).all(axis=1)
+    return within
+
+
+def ahead(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.float32]:
+    """How far it is from points (n, 3) to the mesh in directions (n, 3), unit: (n,) [m]; far if nowhere."""
+    from embreex import rtcore_scene
+    from embreex.mesh_construction import TriangleMesh
+
+    scene = rtcore_scene.EmbreeScene(robust=True)
+    TriangleMesh(scene, mesh.corners.astype(np.float32))
+    distances: NDArray[np.float32] = scene.run(
+        points.astype(np.float32), directions.astype(np.float32), query="DISTANCE"
+    )
+    return distances
