@@ -38,14 +38,26 @@ def convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Part]:
     """The convex parts of a robot's links; `files` holds its meshes by the names that it uses."""
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):
-            geometry = collision.find("geometry")
-            if geometry is None or not len(geometry) or geometry[0].tag not in FORMS:
-                continue
-            if collision.get(CONCAVE) is not None:
-                continue
-            frame = origin(robot.path, collision.find("origin"))
-            for corners in FORMS[geometry[0].tag](geometry[0], files):
-                yield Part(link.get("name", ""), corners @ frame[:3, :3].T + frame[:3, 3])
+            for corners in _corners(robot, collision, files):
+                yield Part(link.get("name", ""), corners)
+
+
+def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
+    """Whether every collision shape of a robot has parts among `convex_parts`."""
+    shapes = robot.element.iterfind("link/collision")
+    return all(any(True for _ in _corners(robot, shape, files)) for shape in shapes)
+
+
+def _corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
+    """The corners (v, 3) of each part of a collision shape [m], link frame."""
+    geometry = collision.find("geometry")
+    if geometry is None or not len(geometry) or geometry[0].tag not in FORMS:
+        return
+    if collision.get(CONCAVE) is not None:
+        return
+    frame = origin(robot.path, collision.find("origin"))
+    for corners in FORMS[geometry[0].tag](geometry[0], files):
+        yield corners @ frame[:3, :3].T + frame[:3, 3]
 
 
 def groups(obj: str) -> Iterator[Floats]:

@@ -106,7 +106,7 @@ def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice
         return run(episode, trial)
 
     monkeypatch.setattr(Episode, "run", run_or_fail)
-    with Evaluator(cube, filters=False) as evaluator:
+    with Evaluator(cube, shortcuts=False) as evaluator:
         evaluation = evaluator.evaluate("approach", genomes, nominal(genomes))
     assert evaluation.failures == [(poison, "error: Not connected to physics server.")]
     assert not any(evaluation.rows[poison][column.name].any() for column in RESULT)

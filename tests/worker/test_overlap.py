@@ -90,7 +90,7 @@ def test_rows_are_the_same_without_the_filter(prior, n, make_scene):
     scene = make_scene("panda", "mug", "robust")
     genomes = np.random.default_rng(3).uniform(-1.0, 1.0, (n, len(layout(scene, prior)))).astype(np.float32)
     trials = (np.arange(n) % 3).astype(np.uint16)
-    with Evaluator(scene) as filtered, Evaluator(scene, filters=False) as plain:
+    with Evaluator(scene) as filtered, Evaluator(scene, shortcuts=False) as plain:
         rows = filtered.evaluate(prior, genomes, trials).rows
         assert pack(rows, RESULT) == pack(plain.evaluate(prior, genomes, trials).rows, RESULT)
 
@@ -103,7 +103,7 @@ def test_a_voxel_inside_the_object_is_wholly_inside_one_of_its_parts(target, mak
     corners = np.indices((2, 2, 2)).reshape(3, -1).T
     points = voxels._low + (grid[:, None] + corners) * voxels.pitch
     flat = points.reshape(-1, 3)
-    within = np.any([hull.contains(flat).reshape(-1, 8).all(axis=1) for hull in solid._hulls], axis=0)
+    within = np.any([hull.contains(flat).reshape(-1, 8).all(axis=1) for hull in solid.hulls], axis=0)
     assert len(grid) > 500
     assert within.all()
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_worker.grasp import Pose
 from qdgrasp_worker.protocols import CLOSING_STEPS, TARGET_STEPS, EvaluationProtocol, Shake
+from qdgrasp_worker.reach import EVERYWHERE, Everywhere, Reach
 from qdgrasp_worker.trial import Trial
 from qdgrasp_worker.world import World
 
@@ -38,14 +39,19 @@ class Episode:
 
     world: World
     protocol: EvaluationProtocol
+    reach: Reach | Everywhere = EVERYWHERE
+    """What tells poses that need no closing; it changes no verdict."""
     stops_early: bool = True
     """Whether closing ends when the object has left; it changes no verdict."""
 
     def run(self, trial: Trial) -> Verdict:
         """Evaluate one trial, from a clean start."""
         pose = trial.pose
+        misses = self.reach.misses(pose)
         if self.overlaps(trial):
             return Verdict(Outcome.OVERLAP, pose.joints)
+        if misses:
+            return Verdict(Outcome.MISSED, pose.joints)
         touched = self._close(pose)
         fingers = self._touching_fingers()
         if not fingers:

@@ -1,6 +1,8 @@
 """Evaluate: a batch of genomes in, a batch of result rows out. Decode, place, close, shake, report."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,7 +17,9 @@ from qdgrasp_worker.decode import Decoder
 from qdgrasp_worker.episode import Episode, Verdict
 from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.protocols import PROTOCOLS
+from qdgrasp_worker.reach import EVERYWHERE, Everywhere, Reach
 from qdgrasp_worker.screen import Screen, Shortlist
+from qdgrasp_worker.solid import Solid
 from qdgrasp_worker.surface import Surface
 from qdgrasp_worker.trial import Trial
 from qdgrasp_worker.world import World
@@ -46,7 +50,8 @@ class Evaluation:
 class Evaluator:
     """One Bullet world for one scene; a context manager that leaves it.
 
-    `filters` says whether poses that surely overlap are kept from the simulator; it changes no result.
+    `shortcuts` says whether poses that surely overlap, or surely miss, are spared the simulator, and whether
+    closing ends when the object has left; they change no result (docs/decisions/shortcuts.md).
 
     An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
     batch, or of the process (docs/reproducibility.md).
@@ -59,7 +64,7 @@ class Evaluator:
         There is no such evaluation protocol.
     """
 
-    def __init__(self, scene: Scene, *, filters: bool = True) -> None:
+    def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:
         if scene.protocol not in PROTOCOLS:
             raise UnknownName("protocol", scene.protocol, PROTOCOLS)
         self.scene = scene
@@ -67,12 +72,23 @@ class Evaluator:
         self._surface = Surface(scene)
         self._decoders: dict[str, Decoder] = {}
         self._world = World(scene)
+        self._shortcuts = shortcuts
+        self._solid = Solid(scene)
+        follows = self._protocol.free_joints_first
         self._screen = Screen(
-            scene,
-            lambda posture, synergy: self._world.closing(posture, synergy),
-            follows_free_joints=self._protocol.free_joints_first,
-            filters=filters,
+            scene, self._solid, self._closing, follows_free_joints=follows, filters=shortcuts
         )
+
+    @cached_property
+    def _reach(self) -> Reach | Everywhere:
+        if not self._shortcuts:
+            return EVERYWHERE
+        follows = self._protocol.free_joints_first
+        return Reach(self.scene.gripper, self._solid, self._closing, follows_free_joints=follows)
+
+    def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
+        """How the hand closes on nothing, in the world that there is."""
+        return self._world.closing(posture, synergy)
 
     def __enter__(self) -> Self:
         return self
@@ -132,7 +148,7 @@ class Evaluator:
 
         It is chosen by trial 0, so that all trials of a genome disturb the same pose.
         """
-        episode = Episode(self._world, self._protocol)
+        episode = Episode(self._world, self._protocol, self._reach, stops_early=self._shortcuts)
         for place in shortlist.ranked:
             pose = grasps[place]
             if trial and shortlist.is_choice and episode.overlaps(Trial(pose)):

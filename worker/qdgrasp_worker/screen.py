@@ -45,13 +45,13 @@ class Screen:
     """
 
     def __init__(
-        self, scene: Scene, closing: Closing, *, follows_free_joints: bool, filters: bool = True
+        self, scene: Scene, solid: Solid, closing: Closing, *, follows_free_joints: bool, filters: bool = True
     ) -> None:
         self._scene = scene
         self._closing = closing
         self._follows = follows_free_joints
         self._filters = filters
-        self._solid = Solid(scene)
+        self._solid = solid
 
     def __call__(
         self, grasps: Grasps, trials: NDArray[np.uint16], wanted: NDArray[np.bool_]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from qdgrasp_assets.hulls import convex_parts
+from qdgrasp_assets.hulls import convex_parts, is_all_convex
 from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_assets.urdf import tree
@@ -18,17 +18,22 @@ class Skeleton:
 
     def __init__(self, gripper: SceneGripper) -> None:
         robot = tree(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
-        self._robot = robot.subtree(gripper.base_link)
+        self.robot = robot.subtree(gripper.base_link)
+        """The hand, without meshes and without the carrier."""
         self._joints = [joint.name for joint in gripper.joints]
-        parts = list(convex_parts(self._robot, gripper.meshes))
+        parts = list(convex_parts(self.robot, gripper.meshes))
         self.hulls: dict[str, list[Hull]] = {
-            link: hulls(part.corners for part in parts if part.link == link) for link in self._robot.links
+            link: hulls(part.corners for part in parts if part.link == link) for link in self.robot.links
         }
         """The convex parts of each link, link frame."""
+        self.is_whole = is_all_convex(robot, gripper.meshes) and (
+            sum(map(len, self.hulls.values())) == len(list(convex_parts(robot, gripper.meshes)))
+        )
+        """Whether these are all collision shapes: none is unknown or flat, and none is the carrier's."""
 
     def frames(self, postures: Floats) -> dict[str, Floats]:
         """Each link's frame (n, 4, 4) in the hand's, with the joints at `postures` (n, j) [rad or m]."""
-        frames = self._robot.forward(dict(zip(self._joints, postures.T, strict=True)))
+        frames = self.robot.forward(dict(zip(self._joints, postures.T, strict=True)))
         shape = (len(postures), 4, 4)
         return {link: np.broadcast_to(frame, shape) for link, frame in frames.items()}
 

@@ -24,7 +24,11 @@ class Solid:
     """The convex parts of a scene's object, CoM frame."""
 
     def __init__(self, scene: Scene) -> None:
-        self._hulls = hulls(groups(scene.object.collision.decode()))
+        parts = list(groups(scene.object.collision.decode()))
+        self.hulls = hulls(parts)
+        """The parts."""
+        self.is_whole = len(self.hulls) == len(parts)
+        """Whether all of the object is in them; flat parts are left out."""
         self._surface = scene.surface_points.astype(np.float64)
         self.radius = float(np.sqrt((self._surface**2).sum(axis=1).max()))
         """How far the surface is from the centre of mass at most [m]."""
@@ -32,10 +36,10 @@ class Solid:
     @cached_property
     def inside(self) -> Voxels:
         """Level 1: the whole voxel is surely inside one of the parts."""
-        low, high = self._box
+        low, high = self.box
         pitch = max(PITCH, float(np.prod(high - low) / MOST) ** (1 / 3))
         voxels = Voxels(low, high, pitch)
-        for hull in self._hulls:
+        for hull in self.hulls:
             reach = np.abs(hull.normals).sum(axis=1) * (pitch / 2)
             voxels.mark(hull.shrunk(reach + SAFE), 1)
         return voxels
@@ -44,18 +48,19 @@ class Solid:
     def points(self) -> Floats:
         """(512, 3) [m]: points drawn uniformly from the inside; of the surface where there is hardly any."""
         random = np.random.default_rng(0)
-        low, high = self._box
+        low, high = self.box
         found = [self._surface[:0]]
         for _ in range(ROUNDS):
             drawn = random.uniform(low, high, (DRAWS, 3))
-            found.append(drawn[np.any([hull.contains(drawn) for hull in self._hulls], axis=0)])
+            found.append(drawn[np.any([hull.contains(drawn) for hull in self.hulls], axis=0)])
             if sum(map(len, found)) >= POINTS:
                 break
         some = self._surface[random.integers(len(self._surface), size=POINTS)]
         return np.concatenate([*found, some])[:POINTS]
 
-    @property
-    def _box(self) -> tuple[Floats, Floats]:
-        lows, highs = [hull.low for hull in self._hulls], [hull.high for hull in self._hulls]
+    @cached_property
+    def box(self) -> tuple[Floats, Floats]:
+        """The corners (3,) of the box around it and its centre of mass [m]."""
+        lows, highs = [hull.low for hull in self.hulls], [hull.high for hull in self.hulls]
         origin = np.zeros((1, 3))
         return np.min([*lows, *origin], axis=0), np.max([*highs, *origin], axis=0)
