@@ -8,15 +8,14 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
-from tests.benchmarks import coordination, evaluations, growth, recording, scaling, startup, where
-from tests.benchmarks.measure import Figure, machine, spread, taken
+from tests.benchmarks import coordination, evaluations, growth, page, recording, scaling, startup, where
+from tests.benchmarks.measure import Figure, machine
 
 from qdgrasp_worker.platform import code_digest
 
@@ -32,29 +31,6 @@ PARTS: dict[str, Part] = {
 }
 
 
-def table(name: str, figures: Sequence[Figure]) -> Table:
-    """One part for a person."""
-    has_naive = any(figure.naive for figure in figures)
-    heads = ["what", "per second", "one takes", "x naive" if has_naive else "x first line", "remark"]
-    shown = Table(*heads, title=name, title_justify="left")
-    for figure in figures:
-        rate = spread(figure.rates or [figure.per_second])
-        times = spread(figure.naive, 2) if has_naive else spread(figure.ratios(figures[0]), 2)
-        shown.add_row(figure.name, rate, taken(figure.microseconds), times, figure.remark)
-    return shown
-
-
-def measured(parts: Sequence[str], seconds: float, console: Console) -> dict[str, list[Figure]]:
-    """The figures of parts, each shown as soon as it is there."""
-    found = {}
-    for name in parts:
-        began = time.monotonic()
-        found[name] = PARTS[name](seconds)
-        console.print(table(name, found[name]))
-        console.print(f"{time.monotonic() - began:.0f} s\n", style="dim")
-    return found
-
-
 def whole(found: dict[str, list[Figure]]) -> dict[str, Any]:
     """Everything as plain values."""
     return {
@@ -65,23 +41,33 @@ def whole(found: dict[str, list[Figure]]) -> dict[str, Any]:
     }
 
 
+def write(out: Path, found: dict[str, list[Figure]]) -> None:
+    """What there is so far: as JSON, as a page, and as a figure."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "bench.json").write_text(json.dumps(whole(found), indent=1) + "\n")
+    sections = [page.markdown(name, figures) for name, figures in found.items()]
+    (out / "bench.md").write_text("\n\n".join(["# What things cost", *sections]) + "\n")
+    if "evaluations" in found:
+        where.draw(found["evaluations"]).write(out / where.NAME)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("--only", action="append", choices=list(PARTS), help="a part; may be repeated")
     parser.add_argument("--seconds", type=float, default=2.0, help="for each line (default: 2)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    parser.add_argument("--out", type=Path, help="folder for bench.json and the figure")
+    parser.add_argument("--out", type=Path, help="folder for bench.json, bench.md and the figure")
     asked = parser.parse_args()
-    console = Console(stderr=True, width=150, quiet=asked.json)
-    found = measured(asked.only or list(PARTS), asked.seconds, console)
-    text = json.dumps(whole(found), indent=1) + "\n"
+    console, found = Console(stderr=True, width=150, quiet=asked.json), {}
+    for name in asked.only or PARTS:
+        began = time.monotonic()
+        found[name] = PARTS[name](asked.seconds)
+        console.print(page.table(name, found[name]))
+        console.print(f"{time.monotonic() - began:.0f} s\n", style="dim")
+        if asked.out:
+            write(asked.out, found)
     if asked.json:
-        sys.stdout.write(text)
-    if asked.out:
-        asked.out.mkdir(parents=True, exist_ok=True)
-        (asked.out / "bench.json").write_text(text)
-        if "evaluations" in found:
-            where.draw(found["evaluations"]).write(asked.out / where.NAME)
+        sys.stdout.write(json.dumps(whole(found), indent=1) + "\n")
 
 
 if __name__ == "__main__":

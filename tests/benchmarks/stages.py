@@ -17,6 +17,7 @@ from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.overlap import OverlapFilter
 from qdgrasp_worker.protocols import Shake
 from qdgrasp_worker.ranking import Ranking
+from qdgrasp_worker.reach import Reach
 from qdgrasp_worker.world import World
 
 REST = "rest"
@@ -33,12 +34,23 @@ STAGES: list[tuple[type, str, str | Callable[..., str]]] = [
     (Decoder, "__call__", "decode"),
     (OverlapFilter, "__call__", "overlap filter"),
     (Ranking, "features", "features"),
+    (Reach, "misses", "never-touch filter"),
     (Episode, "overlaps", "place, overlap"),
     (Episode, "_close", "closing"),
     (Episode, "_holds_through", _shake),
 ]
 """The method of a class, and the stage that is spent in it, or what tells it from the arguments."""
-ORDER = ("decode", "overlap filter", "features", "place, overlap", "closing", "shake z", "shake x", REST)
+ORDER = (
+    "decode",
+    "overlap filter",
+    "features",
+    "never-touch filter",
+    "place, overlap",
+    "closing",
+    "shake z",
+    "shake x",
+    REST,
+)
 """The stages in the order of an evaluation."""
 
 

@@ -16,6 +16,7 @@ COLOURS = {
     "decode": "#4d4d4d",
     "overlap filter": "#009e73",
     "features": "#cc79a7",
+    "never-touch filter": "#f0e442",
     "place, overlap": "#56b4e9",
     "closing": "#0072b2",
     "shake z": "#d55e00",
