@@ -8,18 +8,18 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from tests.benchmarks import coordination, evaluations, growth, page, recording, scaling, startup, where
-from tests.benchmarks.measure import Figure, machine
+from tests.benchmarks.measure import Figure, machine, spread
 
 from qdgrasp_worker.platform import code_digest
 
-Part = Callable[[float], list[Figure]]
+Part = Callable[[float], Iterable[Figure]]
 """Takes the seconds for each line."""
 PARTS: dict[str, Part] = {
     "evaluations": evaluations.measure,
@@ -39,6 +39,16 @@ def whole(found: dict[str, list[Figure]]) -> dict[str, Any]:
         "code": code_digest(),
         "parts": {name: [figure.as_dict() for figure in figures] for name, figures in found.items()},
     }
+
+
+def shown(name: str, part: Iterable[Figure], console: Console) -> list[Figure]:
+    """The figures of a part, while it is said how far it is."""
+    found = []
+    with console.status(name) as status:
+        for figure in part:
+            found.append(figure)
+            status.update(f"{name}: {figure.name} {spread(figure.rates or [figure.per_second])} a second")
+    return found
 
 
 def write(out: Path, found: dict[str, list[Figure]]) -> None:
@@ -61,7 +71,7 @@ def main() -> None:
     console, found = Console(stderr=True, width=150, quiet=asked.json), {}
     for name in asked.only or PARTS:
         began = time.monotonic()
-        found[name] = PARTS[name](asked.seconds)
+        found[name] = shown(name, PARTS[name](asked.seconds), console)
         console.print(page.table(name, found[name]))
         console.print(f"{time.monotonic() - began:.0f} s\n", style="dim")
         if asked.out:

@@ -53,10 +53,11 @@ REFERENCE = [
 ]
 
 
-def measure(seconds: float) -> list[Figure]:
+def measure(seconds: float) -> Iterator[Figure]:
     hands, things = gripper_names(), object_names()
-    here = [pair for pair in BUILT_IN + REFERENCE if pair.hand in hands and pair.object in things]
-    return [lot for pair in here for lot in _pair(pair, seconds)]
+    for pair in BUILT_IN + REFERENCE:
+        if pair.hand in hands and pair.object in things:
+            yield from _pair(pair, seconds)
 
 
 def _pair(pair: Pair, seconds: float) -> Iterator[Figure]:
