@@ -1,5 +1,6 @@
 """What every bus does: one class of tests over all of them."""
 
+import socket
 import subprocess
 import sys
 import threading
@@ -277,9 +278,11 @@ class TestZenohBus:
         assert caught.value.exit_code == 2
 
     def test_a_router_that_is_not_there_is_named_when_the_deadline_is_over(self) -> None:
-        endpoint = free_endpoint()
-        with pytest.raises(EndpointError, match=f"Nothing answers at {endpoint} after 0.3 s"):
-            ZenohBus.connect(endpoint, 0.3)
+        with socket.socket() as held:  # so that nobody else takes the port; it does not listen
+            held.bind(("127.0.0.1", 0))
+            endpoint = f"tcp/127.0.0.1:{held.getsockname()[1]}"
+            with pytest.raises(EndpointError, match=f"Nothing answers at {endpoint} after 0.3 s"):
+                ZenohBus.connect(endpoint, 0.3)
 
     def test_a_router_that_starts_late_is_found(self) -> None:
         endpoint, found = free_endpoint(), Ear()

@@ -11,7 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
+from qdgrasp_coordinator.digest import digest
 from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.summary import summary
 from qdgrasp_protocol.errors import FolderError
 
 PATIENCE = 120.0  # seconds that anything may take before a test fails
@@ -62,16 +66,14 @@ class Commands:
         self._started.append(process)
         return process
 
-    def digest(self, folder: object) -> str:
-        done = self("digest", folder)
-        assert done.code == 0, done.err
-        assert len(done.out.strip()) == 64
-        return done.out.strip()
+    def digest(self, folder: str | Path) -> str:
+        """What `qdgrasp digest` prints, without a process for it."""
+        with RunFolder.open(self.home / folder).journal() as journal:
+            return digest(journal)
 
-    def info(self, folder: object) -> dict:
-        done = self("info", folder, "--json")
-        assert done.code == 0, done.err
-        return done.json
+    def info(self, folder: str | Path) -> dict:
+        """What `qdgrasp info --json` prints, without a process for it."""
+        return json.loads(msgspec.json.encode(summary(RunFolder.open(self.home / folder))))
 
     def end_all(self) -> None:
         for process in self._started:

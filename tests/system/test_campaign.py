@@ -29,12 +29,12 @@ object = "tennis_ball"
 method = ["contact_rand", "contact_me_scs"]
 [[cross]]
 object = "rubiks_cube"
-method = "approach_me_scs"
+evaluations = 240
 """
-RUNS = (
-    ("tennis_ball", "contact_rand"),
-    ("rubiks_cube", "approach_me_scs"),
-)
+RUNS = {
+    "panda-tennis_ball-contact_rand-s0-population40": ("--method", "contact_rand", "--evaluations", 160),
+    "panda-rubiks_cube-aimed-s0-population40": ("--evaluations", 240, "--generations-in-flight", 1),
+}
 
 
 def write(home: Path, text: str = SMALL) -> Path:
@@ -73,16 +73,15 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
     commands = Commands(tmp_path_factory.mktemp("campaign"))
     ended = commands("campaign", write(commands.home), "--workers", 2, "--out", "out")
     assert ended.code == 0, ended.err
-    assert "3 of 3 runs with 480 evaluations" in ended.out
+    assert "3 of 3 runs with 560 evaluations" in ended.out
     return commands
 
 
-@pytest.mark.parametrize(("object_", "method"), RUNS)
-def test_each_run_of_a_campaign_is_the_run_that_it_is_alone(qdgrasp, done, object_, method):
-    flags = ("--object", object_, "--method", method, "--evaluations", 160, "--population", 40)
-    ended = qdgrasp("run", "--gripper", "panda", *flags, "--workers", 1, "--out", "alone")
+@pytest.mark.parametrize("name", RUNS)
+def test_each_run_of_a_campaign_is_the_run_that_it_is_alone(qdgrasp, done, name):
+    flags = ("--gripper", "panda", "--object", name.split("-")[1], "--population", 40, *RUNS[name])
+    ended = qdgrasp("run", *flags, "--workers", 1, "--out", "alone")
     assert ended.code == 0, ended.err
-    name = f"panda-{object_}-{method}-s0-population40"
     assert digest_of(qdgrasp.home / "alone") == digests(done)[name]
 
 
@@ -97,20 +96,20 @@ def test_a_finished_campaign_is_not_carried_out_again(done):
 
 def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgrasp):
     shutil.copytree(done.home / "out", qdgrasp.home / "out")
-    longer = SMALL.replace('"approach_me_scs"', '"approach_me_scs"\nevaluations = 240')
+    longer = SMALL.replace("evaluations = 240", "evaluations = 300")
     grown = longer.replace(
         '"contact_rand", "contact_me_scs"]', '"contact_rand", "contact_me_scs"]\nseed = [0, 1]'
     )
     ended = qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
     assert ended.code == 0, ended.err
     assert "2 of 5 runs are finished already" in ended.err
-    assert "5 of 5 runs with 880 evaluations" in ended.out
-    extended = "panda-rubiks_cube-approach_me_scs-s0-population40"
+    assert "5 of 5 runs with 940 evaluations" in ended.out
+    extended = "panda-rubiks_cube-aimed-s0-population40"
     finished = digests(done).keys() - {extended}
     for found in (digests, cpu_seconds):
         before, after = found(done), found(qdgrasp)
         assert {name: after[name] for name in finished} == {name: before[name] for name in finished}
-    assert rows_recorded(qdgrasp.home / "out" / "runs" / extended) == 240
+    assert qdgrasp.info(Path("out/runs") / extended)["evaluations"] == 300
 
 
 # What is asked for cannot be.

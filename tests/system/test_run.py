@@ -89,15 +89,23 @@ def test_redrawn_overlaps_are_rows_but_no_evaluations(qdgrasp):
 def test_commands_that_print_json_print_nothing_else(qdgrasp, reference):
     done = qdgrasp("info", reference[0], "--json")
     wanted = (
-        "gripper object method protocol seed evaluations rows proposals overlaps successes grasps robust "
-        "cells qd_score success_share mean_fitness nu errors cpu_seconds wall_seconds complete"
+        "gripper object method protocol seed evaluations rows simulated proposals overlaps dead_ends "
+        "successes grasps robust cells qd_score success_share mean_fitness nu errors cpu_seconds "
+        "wall_seconds complete"
     )
     assert set(wanted.split()) <= set(done.json)
+    assert done.json == reference[2]
     assert done.json["success_share"] == done.json["successes"] / done.json["evaluations"]
     assert done.json["grasps"] > 0
     assert done.json["cells"] * 2 >= done.json["qd_score"] > 0
     assert sum(done.json["nu"]["bins"]) == done.json["successes"]
     assert done.err == ""
+
+
+def test_the_digest_command_prints_the_digest_and_nothing_else(qdgrasp, reference):
+    done = qdgrasp("digest", reference[0])
+    assert (done.code, done.out, done.err) == (0, f"{reference[1]}\n", "")
+    assert len(reference[1]) == 64
 
 
 def test_a_run_folder_is_named_after_what_it_holds(qdgrasp):

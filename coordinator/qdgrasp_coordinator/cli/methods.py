@@ -7,12 +7,12 @@ import typer
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.search import METHODS
 
-COLUMNS = ("name", "prior", "overlaps", "population", "summary")
-WIDTHS = (18, 10, 9, 11, 0)
+COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "summary")
+WIDTHS = (18, 10, 9, 11, 22, 0)
 
 
 def methods(as_json: options.Json = False) -> None:
-    """Name every search method with its prior and its defaults.
+    """Name every search method with its prior and its defaults; the first is the default.
 
     Example: qdgrasp methods --json
     """

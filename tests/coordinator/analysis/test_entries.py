@@ -6,6 +6,7 @@ from tests.coordinator.analysis.runs import climb, made, random_rows, record
 
 from qdgrasp_coordinator.analysis.entries import entries, histories, run_folders, usual
 from qdgrasp_coordinator.analysis.target import Targets
+from qdgrasp_coordinator.search import METHODS
 from qdgrasp_protocol.errors import FolderError
 
 
@@ -49,6 +50,16 @@ def test_the_usual_variant_of_a_method_is_the_one_nearest_to_the_defaults() -> N
     runs = [made("me_scs", climb(1), mutation_sigma=sigma, population=60) for sigma in (0.02, 0.1, 0.4)]
     (by_method,) = usual(entries(runs)).values()
     assert by_method["me_scs"].runs[0].spec.mutation_sigma == 0.1
+
+
+@pytest.mark.parametrize(("method", "counting"), [("aimed", "redraw"), ("me_scs", "count")])
+def test_the_usual_variant_counts_as_its_method_does(method: str, counting: str) -> None:
+    population = METHODS[method].population
+    runs = [
+        made(method, climb(1), overlaps=overlaps, population=population) for overlaps in ("count", "redraw")
+    ]
+    (by_method,) = usual(entries(runs)).values()
+    assert by_method[method].overlaps == counting
 
 
 def test_protocols_are_scenes_of_their_own() -> None:
