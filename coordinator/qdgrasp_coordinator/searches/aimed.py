@@ -82,8 +82,9 @@ class Aimed:
         is_success = rows["outcome"] >= Outcome.DROPPED
         features = self._open.pop(generation)
         is_told, n = is_simulated | self._counts_all, len(features)
-        self._frontier.learn(features[is_told[:n]], is_success[:n][is_told[:n]])
-        self._spare.tell(generation, (rows["outcome"] >= Outcome.HELD)[n:], is_told[n:])
+        fresh, again = is_told[:n], np.stack([is_told, rows["outcome"] >= Outcome.HELD], axis=1)[n:]
+        self._frontier.learn(features[fresh], is_success[:n][fresh])
+        self._spare.tell(generation, is_success[:n][fresh], again)
         self._frontier.fail(self._aimed_at(rows["genome"][~is_simulated]))
         self._succeed(rows[is_success])
         self._ranker.learn(rows[is_simulated])
@@ -103,8 +104,9 @@ class Aimed:
         generator = draws(self._spec.seed, "targets", generation)
         n = int(np.count_nonzero(generator.random(self._spec.population) >= SCOUTS))
         best = self._frontier.best(n, generator)
-        spare = self._spare.ask(generation, best, generator)
-        return np.concatenate([self._frontier.best(len(best) - len(spare), generator, best), spare])
+        spare = self._spare.ask(generation, generator)
+        left = max(0, min(len(best), n - len(spare)))
+        return np.concatenate([self._frontier.best(left, generator, best), spare])
 
     def _aimed(self, targets: Places, generation: int) -> Aims:
         """The grasps of neighbours, for the cells `targets`."""

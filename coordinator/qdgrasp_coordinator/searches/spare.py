@@ -2,8 +2,8 @@
 
 A second try takes the best grasp from around the cell. How often it gives a robust one tells, about, the
 share of the cell's 26 neighbours that hold one; what the tries so far gave corrects it. A robust grasp in
-place of a weak one adds no cell: it counts `VALUE` of one, and is tried where that beats what the empty cells
-promise. So a search whose frontier is rich makes no such try, and one whose frontier is spent makes many.
+place of a weak one adds no cell: it counts `VALUE` of one, and is tried where that is more than what an
+evaluation at the frontier brought lately. So a search whose frontier is rich makes no such try.
 """
 
 import numpy as np
@@ -13,12 +13,14 @@ from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.searches.frontier import NEIGHBOURS, Frontier, Places, top
 from qdgrasp_coordinator.searches.hints import Hints
 
-VALUE = 0.25
+VALUE = 1 / 3
 """What a robust grasp in place of a weak one is worth, against a success in an empty cell."""
 AGAIN = 0.5
-"""The greatest share of a generation for weak grasps."""
+"""The most such tries in a generation, as a share of those that count at the frontier."""
 TRUST = 20.0
 """As many kept promises are taken for granted before the first try."""
+FADING = 0.9
+"""What an older generation weighs against the next, where it is asked what the frontier brought lately."""
 NOTHING = np.zeros(0)
 
 
@@ -34,32 +36,33 @@ class Spare:
         self._open: dict[int, Floats] = {}
         """Of generations that are not told yet, what each of their tries promised."""
         self._promised = self._given = TRUST
+        self._tries, self._successes = 1.0, 1.0
+        """At the frontier, lately, and of one try before all that was taken for a success."""
 
-    def ask(self, generation: int, best: Places, generator: np.random.Generator) -> Places:
-        """The weak cells to try in a generation, instead of as many of the `best` empty ones."""
-        weak = self._hints.weak
-        weak = top(weak, self.worth(weak), int(AGAIN * len(best)), generator)
-        weak = weak[np.argsort(-self.worth(weak), kind="stable")]
-        empty = np.sort(self._frontier.worth(best))[: len(weak)]
-        is_better = VALUE * self.worth(weak) > empty
-        tries: Places = weak[: len(weak) if is_better.all() else is_better.argmin()]
+    def ask(self, generation: int, generator: np.random.Generator) -> Places:
+        """The weak cells to try in a generation."""
+        weak, most = self._hints.weak, int(AGAIN * (1.0 - FADING) * self._tries)
+        weak = top(weak, self.worth(weak), most, generator)
+        tries: Places = weak[VALUE * self.worth(weak) > self._successes / self._tries]
         self._open[generation] = self._shares(tries)
         return tries
 
-    def tell(self, generation: int, robust: NDArray[np.bool_], told: NDArray[np.bool_]) -> None:
-        """Hear what became of a generation, its spare tries in front.
+    def tell(self, generation: int, fresh: NDArray[np.bool_], again: NDArray[np.bool_]) -> None:
+        """Hear what became of a generation.
 
         Parameters
         ----------
-        robust
-            (n,): which of its rows are robust grasps.
-        told
-            (n,): which count as tried.
+        fresh
+            (n,): which of the tries in empty cells that count succeeded.
+        again
+            (m, 2): of rows that begin with the spare tries, which count, and which are robust grasps.
         """
         promised = self._open.pop(generation, NOTHING)
-        told, robust = told[: len(promised)], robust[: len(promised)]
-        self._promised += float(promised[told].sum())
-        self._given += float(np.count_nonzero(robust & told))
+        counts, is_robust = again[: len(promised)].T
+        self._promised += float(promised[counts].sum())
+        self._given += float(np.count_nonzero(is_robust & counts))
+        self._tries = FADING * self._tries + len(fresh)
+        self._successes = FADING * self._successes + float(np.count_nonzero(fresh))
 
     def succeed(self, places: Places) -> None:
         """Hear of robust grasps in `places` (n,), in any order and repeated."""
