@@ -60,7 +60,7 @@ def varied(seed: int) -> Plan:
 
 @pytest.mark.parametrize("trouble", TROUBLE.values(), ids=TROUBLE)
 def test_the_journal_is_that_of_the_undisturbed_run_with(trouble: dict[str, float]) -> None:
-    for seed in range(80):
+    for seed in range(50):
         plan = replace(varied(seed), **trouble)
         assert World(plan).run() == reference(plan), plan
 
@@ -69,39 +69,52 @@ def sometimes(rate: float) -> st.SearchStrategy[float]:
     return st.sampled_from([0.0, rate / 4, rate])
 
 
-@settings(
-    max_examples=600,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+ANY_PLAN = st.builds(
+    Plan,
+    seed=st.integers(0, 2**32),
+    population=st.integers(1, 9),
+    evaluations=st.integers(1, 33),
+    overlaps=st.sampled_from(["count", "redraw"]),
+    in_flight=st.integers(1, 3),
+    trials=st.sampled_from([0, 3, 7]),
+    batch_size=st.sampled_from([2, None, 1, 5]),
+    workers=st.integers(1, 4),
+    credit=st.integers(1, 3),
+    loss=sometimes(0.1),
+    repeat=sometimes(0.3),
+    stall=sometimes(0.05),
+    hiccup=sometimes(0.2),
+    flap=sometimes(0.3),
+    kill=sometimes(0.3),
+    zombie=sometimes(0.2),
+    link=sometimes(0.1),
+    crash=sometimes(0.3),
+    recorder_crash=sometimes(0.3),
+    restore=sometimes(0.2),
 )
-@given(
-    st.builds(
-        Plan,
-        seed=st.integers(0, 2**32),
-        population=st.integers(1, 9),
-        evaluations=st.integers(1, 33),
-        overlaps=st.sampled_from(["count", "redraw"]),
-        in_flight=st.integers(1, 3),
-        trials=st.sampled_from([0, 3, 7]),
-        batch_size=st.sampled_from([2, None, 1, 5]),
-        workers=st.integers(1, 4),
-        credit=st.integers(1, 3),
-        loss=sometimes(0.1),
-        repeat=sometimes(0.3),
-        stall=sometimes(0.05),
-        hiccup=sometimes(0.2),
-        flap=sometimes(0.3),
-        kill=sometimes(0.3),
-        zombie=sometimes(0.2),
-        link=sometimes(0.1),
-        crash=sometimes(0.3),
-        recorder_crash=sometimes(0.3),
-        restore=sometimes(0.2),
+
+
+def many(histories: int) -> settings:
+    """The same histories in each test run."""
+    return settings(
+        max_examples=histories,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=[HealthCheck.function_scoped_fixture],
     )
-)
+
+
+@many(200)
+@given(ANY_PLAN)
 def test_the_journal_is_that_of_the_undisturbed_run_with_all_of_it_together(plan: Plan) -> None:
+    assert World(plan).run() == reference(plan)
+
+
+@pytest.mark.slow
+@many(3000)
+@given(ANY_PLAN)
+def test_the_journal_is_that_of_the_undisturbed_run_in_thousands_of_histories(plan: Plan) -> None:
     assert World(plan).run() == reference(plan)
 
 
