@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from qdgrasp_assets import room
-from qdgrasp_assets.decompose import CORNERS, TOLERANCE, TookTooLong, decompose, simple
+from qdgrasp_assets.decompose import CORNERS, ITERATIONS, TOLERANCE, TookTooLong, decompose, simple
 from qdgrasp_assets.files import cache_folder
 from qdgrasp_assets.mesh import Mesh, parts_to_obj, read_parts
 from qdgrasp_assets.objects.solids import hull
@@ -108,7 +108,7 @@ def _cached(mesh: Mesh) -> Path:
 
 def _key(mesh: Mesh) -> str:
     """Names a decomposition: of this mesh, by this version, with this rule."""
-    rule = (THRESHOLDS, TOLERANCE, CORNERS, room.POINTS, room.AHEAD, room.OFF, room.MOST)
+    rule = (THRESHOLDS, ITERATIONS, TOLERANCE, CORNERS, room.POINTS, room.AHEAD, room.OFF, room.MOST)
     geometry = mesh.vertices.astype("<f8").tobytes() + mesh.faces.astype("<u4").tobytes()
     return hashlib.sha256(f"coacd {version('coacd')} {rule}".encode() + geometry).hexdigest()
 

@@ -22,6 +22,8 @@ TOLERANCE = 5e-4
 """A corner that is not farther outside the hull of others is left out [m]."""
 CORNERS = 128
 """Of a part, at most."""
+ITERATIONS = 50
+"""Of CoACD's search for each cut. With its own 150 it takes half as long again, for parts no fewer."""
 OUTWARD = np.array([*np.eye(3), *-np.eye(3), *product((-1.0, 1.0), repeat=3)])
 """The directions in which a part keeps its extent, in the unit cube."""
 
@@ -121,7 +123,8 @@ def _coacd(vertices: Floats, faces: Floats, threshold: float) -> list[Floats]:
     import coacd
 
     coacd.set_log_level("error")
-    parts = coacd.run_coacd(coacd.Mesh(vertices, faces), threshold=threshold, seed=0)
+    mesh = coacd.Mesh(vertices, faces)
+    parts = coacd.run_coacd(mesh, threshold=threshold, mcts_iterations=ITERATIONS, seed=0)
     return [np.asarray(points, dtype=np.float64) for points, _ in parts]
 
 
