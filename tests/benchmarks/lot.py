@@ -1,10 +1,8 @@
 """A lot: evaluations of one search in one world, perhaps beside the naive path's of the same genomes."""
 
-from statistics import median
-
 import numpy as np
 from numpy.typing import NDArray
-from tests.benchmarks.measure import ROUNDS, Figure, Meter
+from tests.benchmarks.measure import Figure, Meter
 from tests.benchmarks.naive import Naive
 from tests.benchmarks.stages import Profile
 
@@ -18,6 +16,9 @@ from qdgrasp_worker.service import SLICE
 
 WATCHED = 0.5
 """Time under a watch, as a share of the time without."""
+DRAWS = 400
+"""How often the batches are drawn anew, for the interval. Few poses take most of the time, so that all of
+them are taken together, not round by round."""
 
 
 class Lot:
@@ -42,8 +43,11 @@ class Lot:
         self._told: list[Rows] = []
         self._outcomes: list[NDArray[np.uint8]] = []
         self._profile = Profile()
-        self._own, self._other, self._watched = Meter(), Meter(), Meter()
-        self._rows = 0
+        self._rows: list[int] = []
+        self._own: list[float] = []
+        self._other: list[float] = []
+        """Of each batch: its rows, and what they took [s]."""
+        self._watched = 0.0
 
     def skip(self, rows: int) -> "Lot":
         """Evaluate some genomes that are not counted."""
@@ -58,46 +62,48 @@ class Lot:
         return len(genomes)
 
     def measured(self, seconds: float) -> Figure:
-        """Measure it for so long, the naive path included; and a part of that under a watch."""
-        rates, times = [], []
+        """Measure it for so long, the naive path included; and half of it once more, under a watch."""
         self._outcomes.clear()
-        for _ in range(ROUNDS):
-            own, other, rows = self._own.seconds, self._other.seconds, self._rows
-            self._round(seconds / ROUNDS)
-            own, other = self._own.seconds - own, self._other.seconds - other
-            rates.append((self._rows - rows) / own)
-            times.append(other / own)
+        while sum(self._own) + sum(self._other) < seconds:
+            self._measure(self._next(self._batch))
+        rows, own, other = (np.array(column) for column in (self._rows, self._own, self._other))
+        some = np.random.default_rng(0).integers(len(rows), size=(DRAWS, len(rows)))
+        rates, times = (column[some].sum(axis=1) / own[some].sum(axis=1) for column in (rows, other))
         return Figure(
             self.name,
-            self._rows,
-            self._own.seconds,
+            sum(self._rows),
+            sum(self._own),
             remark=self._remark,
-            rates=tuple(rates),
-            naive=tuple(times) if self._naive else (),
-            stages=self._profile.stages(1e6 / median(rates)),
+            rates=tuple(rates.tolist()),
+            naive=tuple(times.tolist()) if self._naive else (),
+            stages=self._profile.stages(1e6 * sum(self._own) / sum(self._rows)),
         )
 
-    def _round(self, seconds: float) -> None:
-        began = self._own.seconds + self._other.seconds
-        while self._own.seconds + self._other.seconds < began + seconds:
-            genomes = self._next(self._batch)
-            with self._own.running():
-                self._evaluate(genomes)
-            if self._naive:
-                with self._other.running():
-                    self._naive.evaluate(self._prior, genomes)
-            self._rows += len(genomes)
-        while self._watched.seconds < WATCHED * self._own.seconds:
-            genomes = self._next(self._batch)
-            with self._watched.running(), self._profile.watching(len(genomes)):
-                self._evaluate(genomes)
+    def _measure(self, genomes: Genomes) -> None:
+        """Evaluate a batch; the naive path, and now and then we under a watch, do the same."""
+        own, other, watched = Meter(), Meter(), Meter()
+        with own.running():
+            self._evaluate(genomes)
+        if self._naive:
+            with other.running():
+                self._naive.evaluate(self._prior, genomes)
+        if self._watched < WATCHED * (sum(self._own) + own.seconds):
+            with watched.running(), self._profile.watching(len(genomes)):
+                self._evaluated(genomes)
+        self._watched += watched.seconds
+        for column, value in (
+            (self._rows, len(genomes)),
+            (self._own, own.seconds),
+            (self._other, other.seconds),
+        ):
+            column.append(value)
 
     @property
     def _batch(self) -> int:
         """Rows that the coordinator would lease, as far as the worker evaluates them at once."""
         if not self._rows:
             return FIRST_ROWS
-        return max(1, min(SLICE, int(BATCH_SECONDS * self._rows / self._own.seconds)))
+        return max(1, min(SLICE, int(BATCH_SECONDS * sum(self._rows) / sum(self._own))))
 
     def _next(self, rows: int) -> Genomes:
         """The next genomes, at most so many; the search hears of a generation that is complete."""
@@ -108,9 +114,11 @@ class Lot:
         return genomes
 
     def _evaluate(self, genomes: Genomes) -> None:
-        trials = np.zeros(len(genomes), np.uint16)
-        self._told.append(self._evaluator.evaluate(self._prior, genomes, trials).rows)
+        self._told.append(self._evaluated(genomes))
         self._outcomes.append(self._told[-1]["outcome"])
+
+    def _evaluated(self, genomes: Genomes) -> Rows:
+        return self._evaluator.evaluate(self._prior, genomes, np.zeros(len(genomes), np.uint16)).rows
 
     def _tell(self) -> None:
         """Tell the search of the generation that is complete, if one is."""
