@@ -4,6 +4,9 @@ BIN := $(VENV)/bin
 IS_3_11 := import sys; sys.exit(sys.version_info[:2] != (3, 11))
 PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11)" 2>/dev/null && echo $$name && break; done)
 
+# One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
+IN_PARALLEL := -n auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder
+
 .PHONY: help demo test test-slow check bench results results-page clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
@@ -17,7 +20,7 @@ demo: $(VENV)/.installed
 	@$(BIN)/python -m qdgrasp_coordinator.demo
 
 test: $(VENV)/.ready
-	$(BIN)/python -m pytest -m "not slow" --ignore=tests/benchmarks
+	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow" --ignore=tests/benchmarks
 
 test-slow: $(VENV)/.ready
 	$(BIN)/python -m pytest -m slow --ignore=tests/benchmarks

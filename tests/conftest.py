@@ -9,8 +9,22 @@ settings.register_profile(
 )  # machines are shared: how long an example takes says nothing
 settings.load_profile("shared")
 
-SIBLING = Path(__file__).resolve().parents[2] / "shared" / "data"
+TESTS = Path(__file__).resolve().parent
+SYSTEM = TESTS / "system"
+"""Where tests start processes of their own."""
+SIBLING = TESTS.parents[1] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where several processes test (`pytest -n`), a module stays in one, and so does all of tests/system.
+
+    That comes first: it takes longest, and starts processes of its own.
+    """
+    items.sort(key=lambda item: SYSTEM not in item.path.parents)
+    for item in items:
+        group = SYSTEM if SYSTEM in item.path.parents else item.path
+        item.add_marker(pytest.mark.xdist_group(str(group)))
 
 
 @pytest.fixture(scope="session")

@@ -45,7 +45,7 @@ NAMED = ("gripper", "object", "method", "seed")
 """What every run's name begins with; these must be said."""
 USUAL = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 """What a run of a campaign has unless the file says otherwise. A second generation in flight keeps the
-workers of a single run busy; here other runs do, and a search that hears all it asked aims better."""
+workers of a single run busy; here other runs do, and the search hears of all that it asked."""
 LONGEST = 64
 KEYS = frozenset({"prefer_scans", "defaults", "cross"})
 
