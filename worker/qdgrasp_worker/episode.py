@@ -47,10 +47,10 @@ class Episode:
     def run(self, trial: Trial) -> Verdict:
         """Evaluate one trial, from a clean start."""
         pose = trial.pose
-        misses = self.reach.misses(pose)
+        self.reach.watch(pose.synergy)
         if self.overlaps(trial):
             return Verdict(Outcome.OVERLAP, pose.joints)
-        if misses:
+        if self.reach.misses(pose):
             return Verdict(Outcome.MISSED, pose.joints)
         touched = self._close(pose)
         fingers = self._touching_fingers()

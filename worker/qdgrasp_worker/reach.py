@@ -55,6 +55,9 @@ Closing = Callable[[Sequence[float], int], list[list[float]]]
 class Everywhere:
     """The reach of a hand of which nothing is known: it misses nowhere for sure."""
 
+    def watch(self, synergy: int) -> None:
+        """Do nothing."""
+
     def misses(self, pose: Pose) -> bool:
         """False."""
         return False
@@ -114,12 +117,16 @@ class Reach:
             )
             self._counts = cover.counts
 
+    def watch(self, synergy: int) -> None:
+        """Have the hand close on nothing where its zones with a synergy are not known yet."""
+        if self.is_known and synergy not in self._zones:
+            self._zones[synergy] = self._measure(synergy)
+
     def misses(self, pose: Pose) -> bool:
         """Whether the hand, while it closes at `pose`, surely never comes as near as a contact."""
         if not self.is_known:
             return False
-        if pose.synergy not in self._zones:
-            self._zones[pose.synergy] = self._measure(pose.synergy)
+        self.watch(pose.synergy)
         turn = np.array(axes(pose.quaternion))
         move = -turn @ np.array(pose.position)
         return all(

@@ -1,0 +1,73 @@
+"""Shortcuts change no result: poses are spared the simulator, and closings end early, as if they were not."""
+
+import numpy as np
+import pytest
+from tests.worker.test_parity import REFERENCES, recorded
+
+from qdgrasp_assets.genes import layout
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import RESULT
+from qdgrasp_worker.evaluate import Evaluator
+
+HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
+QUICK = {"panda": 400, "robotiq_2f": 200, "barrett": 60, "allegro": 60, "shadow": 60}
+OBJECTS = ("rubiks_cube", "mug", "power_drill")
+BATCH = 100
+
+
+def rows_of(scene, prior, genomes, *, shortcuts):
+    with Evaluator(scene, shortcuts=shortcuts) as evaluator:
+        parts = [
+            evaluator.evaluate(prior, part, np.zeros(len(part), np.uint16))
+            for part in np.split(genomes, range(BATCH, len(genomes), BATCH))
+        ]
+    assert not any(part.failures for part in parts)
+    return np.concatenate([part.rows for part in parts])
+
+
+def different(scene, prior, genomes):
+    """How many rows differ in any result without shortcuts, and the outcomes."""
+    rows, plain = (rows_of(scene, prior, genomes, shortcuts=shortcuts) for shortcuts in (True, False))
+    differing = sum(ours != theirs for ours, theirs in zip(bits(rows), bits(plain), strict=True))
+    return differing, rows["outcome"]
+
+
+def bits(rows):
+    """The results of each row."""
+    return [tuple(row[column.name].tobytes() for column in RESULT) for row in rows]
+
+
+def drawn(scene, prior, n, seed):
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (n, len(layout(scene, prior)))).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("hand", "protocol"), [(hand, "paper") for hand in HANDS] + [("barrett", "released")]
+)
+def test_a_built_in_hand_has_the_same_rows_without_them(hand, protocol, make_scene):
+    scene = make_scene(hand, "mug", protocol)
+    differing, outcomes = different(scene, "contact", drawn(scene, "contact", QUICK[hand], seed=4))
+    assert differing == 0
+    assert (outcomes >= Outcome.MISSED).sum() > 10
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("target", OBJECTS)
+@pytest.mark.parametrize("hand", sorted(REFERENCES.values()))
+def test_reference_hands_have_the_same_rows_without_them_on_recorded_poses(
+    hand, target, make_scene, asset_path
+):
+    poses, _ = recorded(asset_path, hand, target)
+    assert different(make_scene(f"ref_{hand}", f"ycb_{target}", "released"), "given", poses)[0] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("target", OBJECTS)
+@pytest.mark.parametrize("hand", sorted(REFERENCES.values()))
+def test_reference_hands_have_the_same_rows_without_them_on_thousands_of_poses(
+    hand, target, make_scene, asset_path
+):
+    scene = make_scene(f"ref_{hand}", f"ycb_{target}", "released")
+    assert different(scene, "contact", drawn(scene, "contact", 6700, seed=5))[0] == 0
