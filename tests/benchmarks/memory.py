@@ -16,7 +16,6 @@ import numpy as np
 from tests.benchmarks.measure import Figure
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import pack_scene, unpack_scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
@@ -78,15 +77,21 @@ def status(name: str) -> float:
 def follow(course: Course) -> Found:
     """Evaluate random genomes and look at the memory of this process."""
     scene = build_scene(RunSpec(gripper=course.gripper, object=course.object))
-    genes, random = len(layout(scene, course.prior)), np.random.default_rng(0)
-    sizes = [status("VmRSS")]
+    sizes, random = [status("VmRSS")], np.random.default_rng(0)
     with Evaluator(scene) as evaluator:
         for _ in range(LOOKS):
-            for _ in range(course.evaluations // LOOKS // BATCH):
-                genomes = random.uniform(-1.0, 1.0, (BATCH, genes)).astype(np.float32)
-                evaluator.evaluate(course.prior, genomes, np.zeros(BATCH, np.uint16))
+            evaluate(evaluator, course.prior, course.evaluations // LOOKS, random)
             sizes.append(status("VmRSS"))
     return Found(tuple(sizes), status("VmHWM"))
+
+
+def evaluate(evaluator: Evaluator, prior: str, number: int, random: np.random.Generator) -> None:
+    """Evaluate so many random genomes."""
+    genes = evaluator.shape(prior).genes
+    for start in range(0, number, BATCH):
+        n = min(BATCH, number - start)
+        genomes = random.uniform(-1.0, 1.0, (n, genes)).astype(np.float32)
+        evaluator.evaluate(prior, genomes, np.zeros(n, np.uint16))
 
 
 def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
@@ -100,9 +105,7 @@ def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
                 f"{gripper} {thing}", lambda payload=payload: Evaluator(unpack_scene(payload))
             )
             for prior in ("contact", "aimed"):
-                genes = evaluator.shape(prior).genes
-                genomes = random.uniform(-1.0, 1.0, (BATCH, genes)).astype(np.float32)
-                evaluator.evaluate(prior, genomes, np.zeros(BATCH, np.uint16))
+                evaluate(evaluator, prior, BATCH, random)
             sizes.append(status("VmRSS"))
     return Found(tuple(sizes), status("VmHWM"))
 
