@@ -94,13 +94,21 @@ def simple(part: Mesh) -> Mesh:
     until none is, or until it has `CORNERS`.
     """
     corners = part.vertices
-    kept = np.unique((corners / part.extents @ OUTWARD.T).argmax(axis=0)).tolist()
+    kept = _outermost(corners)
     while True:
         found = hull(corners[kept])
         outside = heights(found, corners).max(axis=1)
         if outside.max() <= TOLERANCE or len(kept) >= CORNERS:
             return found
         kept.append(int(outside.argmax()))
+
+
+def _outermost(corners: Floats) -> list[int]:
+    """Some of the corners (v, 3) of a solid, by their place; they are not in one plane."""
+    places = (corners / np.ptp(corners, axis=0) @ OUTWARD.T).argmax(axis=0)
+    some = corners[places]
+    across = corners @ np.linalg.svd(some - some.mean(axis=0))[2][-1]
+    return sorted({*places.tolist(), int(across.argmin()), int(across.argmax())})
 
 
 def main() -> None:

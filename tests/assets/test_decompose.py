@@ -1,11 +1,12 @@
 """Parts with few corners; what CoACD itself does is tested with the rule that asks it."""
 
+import numpy as np
 import pytest
 import trimesh
 
 from qdgrasp_assets.decompose import CORNERS, TOLERANCE, simple
 from qdgrasp_assets.mesh import Mesh
-from qdgrasp_assets.objects.solids import box, geodesic, heights
+from qdgrasp_assets.objects.solids import box, geodesic, heights, hull
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 1, 2), (1, 1, 0.1)])
@@ -35,3 +36,8 @@ def test_a_box_stays_as_it_is() -> None:
     solid = box((0.1, 0.02, 0.3))
     assert len(simple(solid).vertices) == 8
     assert simple(solid).volume == pytest.approx(solid.volume)
+
+
+def test_a_part_whose_outermost_corners_are_in_one_plane_stays_a_solid() -> None:
+    corners = np.array([(0, 0, 0), (1, 1, 0.5), (0.5, 0.5, 1), (0.6, 0.4, 0.5)]) * 0.1
+    assert simple(hull(corners)).volume == pytest.approx(hull(corners).volume)
