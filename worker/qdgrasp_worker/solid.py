@@ -27,7 +27,7 @@ class Solid:
         parts = list(groups(scene.object.collision.decode()))
         self.hulls = hulls(parts)
         """The parts."""
-        self.is_whole = len(self.hulls) == len(parts)
+        self.is_whole = 0 < len(self.hulls) == len(parts)
         """Whether all of the object is in them; flat parts are left out."""
         self._surface = scene.surface_points.astype(np.float64)
         self.radius = float(np.sqrt((self._surface**2).sum(axis=1).max()))
