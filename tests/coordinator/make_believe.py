@@ -114,7 +114,8 @@ def evaluate(where: Space, generation: int, genomes: np.ndarray) -> Rows:
     rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
     values = where.layout.values(genomes)
     poses, proposals = _candidates(genomes, values) if where.layout.prior == AIMED else (_cone(values), 1)
-    rows["outcome"], rows["proposals"] = poses.outcomes, proposals
+    rows["outcome"] = np.where(np.less(proposals, 0), Outcome.DEAD_END, poses.outcomes)
+    rows["proposals"] = np.abs(proposals)
     rows["fitness"] = np.maximum(rows["outcome"].astype(float) - Outcome.DROPPED, 0)
     rows["descriptor"] = np.concatenate([poses.positions, poses.features], axis=1)
     rows["base_to_object"] = np.concatenate([poses.positions, poses.quaternions], axis=1)
@@ -180,7 +181,7 @@ def _cone(values: np.ndarray) -> Poses:
 
 
 def _candidates(genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndarray]:
-    """The best candidate of each genome, the last tried where none can be simulated."""
+    """The best candidate of each genome, and how many it had; less than 0: none was worth it."""
     chosen = [_choose(*pair) for pair in zip(genomes, values, strict=True)]
     poses = [pose for pose, _ in chosen]
     stacked = Poses(*(np.stack(column) for column in zip(*(vars(p).values() for p in poses), strict=True)))
@@ -190,19 +191,23 @@ def _candidates(genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndar
 def _choose(genome: np.ndarray, values: np.ndarray) -> tuple[Poses, int]:
     generator = np.random.default_rng(np.frombuffer(genome.tobytes(), np.uint32))
     n, looseness = int(np.rint(values[8])), values[7]
-    positions = (cells(values[None, :3]) + generator.uniform(-0.5, 0.5, (n, 3))) / 100
-    hints = values[3:6] + generator.normal(0, LOOSE, (n, 3))
+    scatter = float(n > 1)
+    middle = cells(values[None, :3]) / 100 if n > 1 else values[None, :3]
+    positions = middle + scatter * generator.uniform(-0.005, 0.005, (n, 3))
+    hints = values[3:6] + scatter * generator.normal(0, LOOSE, (n, 3))
     anywhere = generator.uniform(-SIZE / 2, SIZE / 2, (n, 3))
     is_loose = generator.random(n) < looseness
     contacts, normals = nearest(np.where(is_loose[:, None], anywhere, hints))
     way = (values[3:6] - values[:3])[None]
     aside, _ = turned(*tangents(unit(way)), values[6:7])
     first, second = tangents(unit(contacts - positions))
-    kept = np.arctan2(dot(aside, second), dot(aside, first)) + generator.normal(0, TURN, n)
+    kept = np.arctan2(dot(aside, second), dot(aside, first)) + scatter * generator.normal(0, TURN, n)
     poses = Poses(positions, contacts, normals, np.where(is_loose, generator.uniform(0, 2 * np.pi, n), kept))
     weights = values[9:15] if values[9:15].any() else np.eye(len(FEATURES))[0]
     order = np.argsort(-(poses.features @ weights), kind="stable")
     ranked = poses[order]
     ways_on = ranked.outcomes >= Outcome.MISSED
-    best = int(ways_on.argmax()) if ways_on.any() else int(ranked.is_there.argmax())
-    return ranked[best], n
+    if weights[-1] == 0:
+        return ranked[int(ways_on.argmax() if ways_on.any() else ranked.is_there.argmax())], n
+    ways_on &= ranked.features @ weights >= 0
+    return ranked[int(ways_on.argmax())], n if ways_on.any() else -n

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
 
-LOOSENESS, CANDIDATES, WEIGHTS = 7, 8, slice(9, 15)
+LOOSENESS, CANDIDATES, WEIGHTS, CONSTANT = 7, 8, slice(9, 15), 14
 
 
 def encoded(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.worker.aiming import CANDIDATES, WEIGHTS, encoded, facing
+from tests.worker.aiming import CANDIDATES, CONSTANT, WEIGHTS, encoded, facing
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.outcome import Outcome
@@ -30,6 +30,7 @@ def evaluator(scene):
 def genomes(scene):
     values = facing(scene, N, candidates=12, seed=1)
     values[N // 2 :, WEIGHTS] = np.random.default_rng(2).uniform(-8.0, 8.0, (N - N // 2, 6))
+    values[::2, CONSTANT] = 0.0
     values[::9, :3] *= 0.6  # inside the object, some
     return encoded(scene, values)
 
@@ -55,21 +56,28 @@ def candidates(evaluator, genomes):
     return poses, grasps.rows[places], features, grasps.weights
 
 
-def test_the_best_candidate_that_does_not_overlap_is_simulated(evaluator, rows, candidates):
+def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulated(
+    evaluator, rows, candidates
+):
     poses, of, features, weights = candidates
     overlaps = rows_of(evaluator, "given", poses)["outcome"] == Outcome.OVERLAP
-    chosen = 0
+    chosen = refused = 0
     for i, row in enumerate(rows):
         mine = np.flatnonzero((of == i) & ~overlaps)
-        if not len(mine):
-            assert row["outcome"] in (Outcome.OVERLAP, Outcome.DEAD_END)
-            continue
         value = scores(features[mine], np.tile(weights[i], (len(mine), 1)))
+        is_choosy = weights[i, -1] != 0
+        if not len(mine) or (is_choosy and value.max() < 0):
+            refused += len(mine) > 0
+            assert row["outcome"] in (
+                (Outcome.DEAD_END,) if is_choosy else (Outcome.OVERLAP, Outcome.DEAD_END)
+            )
+            continue
         best = mine[value.argmax()]
         np.testing.assert_array_equal(row["base_to_object"], poses[best])
         np.testing.assert_array_equal(row["descriptor"], [*poses[best, :3], *features[best]])
         chosen += 1
     assert chosen > N / 2
+    assert refused
 
 
 def test_a_row_says_of_its_pose_what_the_pose_alone_does(evaluator, rows):

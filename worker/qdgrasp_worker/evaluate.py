@@ -144,7 +144,7 @@ class Evaluator:
         return Finding(place, verdict, shortlist.poses)
 
     def _try(self, grasps: Grasps, shortlist: Shortlist, trial: int) -> tuple[int, Verdict]:
-        """The best candidate that does not overlap, or the first one, and what an episode finds of it.
+        """The best candidate that is worth it and does not overlap, or the first; what an episode finds.
 
         It is chosen by trial 0, so that all trials of a genome disturb the same pose.
         """
@@ -156,7 +156,7 @@ class Evaluator:
             verdict = episode.run(self._protocol.trial(pose, trial))
             if trial or verdict.outcome is not Outcome.OVERLAP:
                 return place, verdict
-        return shortlist.first, Verdict(Outcome.OVERLAP, grasps[shortlist.first].joints)
+        return shortlist.first, Verdict(shortlist.otherwise, grasps[shortlist.first].joints)
 
 
 def refusals(

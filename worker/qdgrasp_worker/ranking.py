@@ -44,6 +44,15 @@ class Ranking:
         return np.stack([np.cos(grasps.nu[places].astype(np.float64)), d, height], axis=1)
 
 
+def are_choosy(weights: Floats) -> NDArray[np.bool_]:
+    """Which genomes (n,), by their weights (n, f), want a score of 0 or more of what is simulated.
+
+    Those with a weight for the constant, which changes no order: it says what is not worth a simulation.
+    """
+    choosy: NDArray[np.bool_] = (weights[:, -1:] != 0.0).any(axis=1)
+    return choosy
+
+
 def scores(features: NDArray[np.float32], weights: Floats) -> Floats:
     """How promising poses are: (p,), of their features (p, f) and the weights (p, f) of their genomes."""
     weights = np.where(weights.any(axis=1, keepdims=True), weights, UNTAUGHT)

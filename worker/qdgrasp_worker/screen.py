@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.overlap import OverlapFilter
-from qdgrasp_worker.ranking import Ranking, scores
+from qdgrasp_worker.ranking import Ranking, are_choosy, scores
 from qdgrasp_worker.solid import Solid
 from qdgrasp_worker.swath import Closing, Swaths
 
@@ -23,7 +24,9 @@ class Shortlist:
     poses: int
     """How many of them are poses; 0: a dead end."""
     ranked: list[int]
-    """The poses that do not surely overlap, in the order in which they are tried."""
+    """The poses that do not surely overlap, and promise enough, in the order in which they are tried."""
+    otherwise: Outcome
+    """What it means where none of them is simulated."""
 
     @property
     def is_choice(self) -> bool:
@@ -71,17 +74,20 @@ class Screen:
         (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.rows])
         left = np.setdiff1d(poses, self._overlap(grasps, nominal)) if self._filters else poses
         features, order = self._rank(grasps, left)
-        return shortlists(grasps, poses, order), features
+        choosy = are_choosy(grasps.weights)
+        return shortlists(grasps, poses, order, np.where(choosy, Outcome.DEAD_END, Outcome.OVERLAP)), features
 
     def _rank(self, grasps: Grasps, left: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-        """The features (poses, f), and `left` with the best of each genome first."""
+        """The features (poses, f), and those of `left` that promise enough, the best of each genome first."""
         features = np.zeros((len(grasps), grasps.weights.shape[1]), dtype=np.float32)
         if not features.shape[1]:
             return features, left
         features[left] = self._ranking.features(grasps, left)
         rows = grasps.rows[left]
-        best_first = np.lexsort([-scores(features[left], grasps.weights[rows]), rows])
-        return features, left[best_first]
+        promised = scores(features[left], grasps.weights[rows])
+        best_first = np.lexsort([-promised, rows])
+        is_enough = (promised >= 0.0) | ~are_choosy(grasps.weights)[rows]
+        return features, left[best_first[is_enough[best_first]]]
 
     @cached_property
     def _overlap(self) -> OverlapFilter:
@@ -93,7 +99,9 @@ class Screen:
         return Ranking(gripper, self._solid, Swaths(gripper, self._closing))
 
 
-def shortlists(grasps: Grasps, poses: NDArray[np.intp], order: NDArray[np.intp]) -> list[Shortlist]:
+def shortlists(
+    grasps: Grasps, poses: NDArray[np.intp], order: NDArray[np.intp], otherwise: NDArray[np.integer]
+) -> list[Shortlist]:
     """A list for each genome, of the `poses` among a batch of grasps and the `order` in which to try them."""
     genomes = np.arange(len(grasps.weights))
     counts = np.bincount(grasps.rows[poses], minlength=len(genomes))
@@ -102,4 +110,5 @@ def shortlists(grasps: Grasps, poses: NDArray[np.intp], order: NDArray[np.intp])
     first[is_alive] = poses[np.searchsorted(grasps.rows[poses], genomes[is_alive])]
     ends = np.searchsorted(grasps.rows[order], genomes, side="right")
     ranked = [places.tolist() for places in np.split(order, ends)[:-1]]
-    return [Shortlist(*each) for each in zip(first.tolist(), counts.tolist(), ranked, strict=True)]
+    outcomes = [Outcome(number) for number in otherwise.tolist()]
+    return [Shortlist(*each) for each in zip(first.tolist(), counts.tolist(), ranked, outcomes, strict=True)]

@@ -12,11 +12,12 @@ the tries go to cells whose grasp is not robust, beside robust ones.
 
 import numpy as np
 
-from qdgrasp_assets.genes import MOST_CANDIDATES
+from qdgrasp_assets.genes import FEATURES, MOST_CANDIDATES
 from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.draws import draws
-from qdgrasp_coordinator.searches.aims import OWN, SYNERGY, TARGET, Aims, directions, joined
+from qdgrasp_coordinator.searches.aims import OWN, SYNERGY, TARGET, Aims, directions, joined, scattered
 from qdgrasp_coordinator.searches.frontier import Frontier, Places
+from qdgrasp_coordinator.searches.gate import Gate
 from qdgrasp_coordinator.searches.hints import Hints
 from qdgrasp_coordinator.searches.ranker import Ranker
 from qdgrasp_coordinator.searches.scouts import scouts
@@ -37,8 +38,6 @@ REDRAWN = 0.15
 """The probability that a synergy is drawn anew."""
 DRIFT = 0.05
 """How far free joints move from their neighbour's: standard deviation, in genes."""
-SAME = 0.1
-"""Grasps whose ranks differ by less are taken for equally good."""
 
 
 class Aimed:
@@ -58,6 +57,7 @@ class Aimed:
         self._frontier = Frontier(space.box, space.distances[1])
         self._hints = Hints(self._frontier.size, space.approach_axis, space.genes - OWN)
         self._ranker = Ranker()
+        self._gate = Gate()
         self._spare = Spare(self._frontier, self._hints)
         self._open: dict[int, Floats] = {}
         """Of generations that are not told yet, what was known of the empty cells that they aim at."""
@@ -70,8 +70,10 @@ class Aimed:
         targets = self._targets(generation)
         self._open[generation] = self._frontier.features(targets[~self._frontier.successful[targets]])
         aimed = self._aimed(targets, generation)
+        if self._candidates == 1:
+            aimed = scattered(aimed, draws(self._spec.seed, "scatter", generation))
         aims = joined(aimed, self._scouts(generation, self._spec.population - len(aimed)))
-        genomes = aims.genomes(self._space.layout, self._candidates, self._ranker.weights)
+        genomes = aims.genomes(self._space.layout, self._candidates, self._weights(aims))
         self._frontier.aim(self._aimed_at(genomes))
         self._asked += len(genomes)
         return genomes
@@ -88,6 +90,7 @@ class Aimed:
         self._frontier.fail(self._aimed_at(rows["genome"][~is_simulated]))
         self._succeed(rows[is_success])
         self._ranker.learn(rows[is_simulated])
+        self._gate.tell(is_simulated)
 
     def _succeed(self, successes: Rows) -> None:
         """Hear of successes; those outside the box are passed over."""
@@ -118,10 +121,9 @@ class Aimed:
         return Aims(centres, contacts, rolls, np.zeros(len(targets)), postures)
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
-        """For each target the best success around it, or in it; among equals `generator` draws."""
+        """For each target a success around it, or in it: see `Hints.preference`."""
         options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
-        ranks = self._hints.ranks(options)
-        preference = np.where(ranks < 0, -1.0, ranks + SAME * generator.random(options.shape))
+        preference = self._hints.preference(options, self._frontier.centres(targets), generator)
         parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
         return parents
 
@@ -133,6 +135,15 @@ class Aimed:
         is_anew = generator.random((len(postures), 1)) < REDRAWN
         is_synergy = np.array([name == SYNERGY for name in names], dtype=np.bool_)
         return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
+
+    def _weights(self, aims: Aims) -> Floats:
+        """What the candidates of each genome are ranked by, and what they must promise: (n, 6).
+
+        Where every pose counts, one that is refused would count as well.
+        """
+        if self._counts_all:
+            return np.zeros((len(aims), len(FEATURES)))
+        return self._ranker.wanting(self._gate.wanted(self._frontier.dead_ends(aims.targets)))
 
     def _scouts(self, generation: int, n: int) -> Aims:
         found = len(self._hints) > 0

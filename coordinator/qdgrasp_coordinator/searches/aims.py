@@ -1,11 +1,12 @@
 """Aims: what the genomes of the prior `aimed` say, in metres and radians, before they are genomes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from qdgrasp_assets.genes import FEATURES
 from qdgrasp_assets.rotation import Floats
+from qdgrasp_coordinator.cells import PER_METRE
 from qdgrasp_protocol.genome import Genomes, Layout
 
 TARGET, CONTACT, ROLL, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
@@ -14,6 +15,11 @@ WEIGHTS = slice(9, 9 + len(FEATURES))
 OWN = WEIGHTS.stop
 """The prior's own genes; the posture, which is the synergy and the free joints, is behind them."""
 SYNERGY = "synergy"
+WITHIN = 0.5
+"""The inner part of a cell that a scattered target may be in, along each axis."""
+POINT_SIGMA = 0.002
+"""How far a scattered contact point is from its own, along each axis [m]."""
+ROLL_SIGMA = 0.05  # rad
 
 
 @dataclass(frozen=True)
@@ -64,3 +70,17 @@ def directions(targets: Floats, contacts: Floats) -> Floats:
 def joined(one: Aims, other: Aims) -> Aims:
     """The aims of both, one after the other."""
     return Aims(*(np.concatenate([vars(one)[name], vars(other)[name]]) for name in vars(one)))
+
+
+def scattered(aims: Aims, generator: np.random.Generator) -> Aims:
+    """The same aims, each a little beside: for genomes of one candidate, which the prior does not scatter.
+
+    It is less than the prior's scatter, where the best of many candidates is taken.
+    """
+    n = len(aims)
+    return replace(
+        aims,
+        targets=aims.targets + WITHIN / PER_METRE * generator.uniform(-0.5, 0.5, (n, 3)),
+        contacts=aims.contacts + POINT_SIGMA * generator.standard_normal((n, 3)),
+        rolls=aims.rolls + ROLL_SIGMA * generator.standard_normal(n),
+    )

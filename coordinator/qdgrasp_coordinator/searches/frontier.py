@@ -142,6 +142,11 @@ class Frontier:
         places = self._edge if among is None else among
         return top(places, self.worth(places), n, generator)
 
+    def dead_ends(self, positions: Floats) -> NDArray[np.int32]:
+        """How many dead ends there were in the cells of `positions` (n, 3) [m]; none outside the box."""
+        places = self.places(positions)
+        return np.where(places >= 0, self._dead_ends[places], 0)
+
     def spent(self, places: Places) -> Floats:
         """What was spent on each of `places` (n,): tries, and dead ends for less."""
         spent: Floats = self._tries[places] + DEAD_END * self._dead_ends[places]

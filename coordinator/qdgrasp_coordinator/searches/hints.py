@@ -8,12 +8,14 @@ belongs to a frame that jumps between directions (`rotation.tangents`).
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.rotation import Floats, rolls, rotate, tangents, unit
+from qdgrasp_assets.rotation import Floats, dot, rolls, rotate, tangents, unit
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.searches.frontier import Places
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
+EQUAL = 0.004
+"""Contact points whose distances differ by less are taken for equally near [m]."""
 NONE = -1
 """The slot of a place without a hint."""
 FIRST = 256
@@ -67,6 +69,17 @@ class Hints:
         """How good they are, for comparison alone: (n,), below zero where there is none."""
         slots = self._slots[places]
         return np.where(slots == NONE, -1.0, self._kept["rank"][slots])
+
+    def preference(self, options: Places, centres: Floats, generator: np.random.Generator) -> Floats:
+        """How far each of `options` (n, k) is preferred for a try at `centres` (n, 3) [m]: (n, k).
+
+        The better outcome first, and of equals the nearer contact point, give or take `EQUAL`: what is near
+        holds. -1 where there is none.
+        """
+        ranks = self.ranks(options)
+        ways = self._at("point", options) - centres[:, None]
+        nearness = -np.sqrt(dot(ways, ways)) - EQUAL * generator.random(options.shape)
+        return np.where(ranks < 0, -1.0, ranks + nearness)
 
     @property
     def weak(self) -> Places:

@@ -4,7 +4,7 @@ import numpy as np
 
 from qdgrasp_assets.genes import FEATURES, STEEPEST
 from qdgrasp_assets.rotation import Floats
-from qdgrasp_coordinator.searches.logistic import Logistic
+from qdgrasp_coordinator.searches.logistic import GRAIN, Logistic
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
@@ -18,10 +18,18 @@ class Ranker:
     def __init__(self) -> None:
         self._model = Logistic(np.zeros(len(FEATURES)))
 
-    @property
-    def weights(self) -> Floats:
-        """One for each feature, as their genes can carry them; zeros before the first fit."""
-        return bearable(self._model.weights)
+    def wanting(self, likely: Floats) -> Floats:
+        """Weights (n, 6) for genomes of which no candidate less `likely` (n,) to succeed is simulated.
+
+        Then the score is negative. Before the first fit they want nothing.
+        """
+        n = len(likely)
+        weights = np.tile(self._model.weights, (n, 1))
+        if weights.any():
+            least = np.rint(np.log(likely / (1.0 - likely)) * GRAIN) / GRAIN
+            constant = weights[:, -1] - least
+            weights[:, -1] = np.where(constant == 0.0, 1.0 / GRAIN, constant)
+        return bearable(weights)
 
     def learn(self, simulated: Rows) -> None:
         """Hear of rows that were simulated."""
@@ -30,10 +38,7 @@ class Ranker:
 
 
 def bearable(weights: Floats) -> Floats:
-    """The weights (6,) scaled down where one is too steep for its gene, and none for the constant.
-
-    Neither changes the order of candidates.
-    """
-    ranking = np.concatenate([weights[:-1], [0.0]])
-    scaled: Floats = ranking * min(1.0, STEEPEST / max(float(np.abs(ranking).max()), STEEPEST))
+    """The weights (n, 6) scaled down where one is too steep for its gene: no order and no sign changes."""
+    steepest = np.maximum(np.abs(weights).max(axis=1, keepdims=True), STEEPEST)
+    scaled: Floats = weights * (STEEPEST / steepest)
     return scaled

@@ -15,16 +15,35 @@ def test_what_makes_success_has_weight() -> None:
     rows["descriptor"][:, 3:] = features
     rows["outcome"] = np.where(features[:, 1] - features[:, 4] > 0, Outcome.SHAKEN, Outcome.BRUSHED)
     ranker = Ranker()
-    assert not ranker.weights.any()
+    assert not ranker.wanting(np.array([0.9])).any()
     ranker.learn(rows)
-    order = np.argsort(ranker.weights)
+    order = np.argsort(ranker.wanting(np.array([0.5]))[0, :-1])
     assert (order[0], order[-1]) == (4, 1)
 
 
+def test_what_is_likelier_than_wanted_scores_above_zero() -> None:
+    random = np.random.default_rng(0)
+    rows = Shape(genes=15, joints=1, descriptors=9).empty(1000)
+    rows["descriptor"][:, 3] = random.random(1000)
+    rows["descriptor"][:, 8] = 1.0
+    rows["outcome"] = np.where(random.random(1000) < rows["descriptor"][:, 3], Outcome.HELD, Outcome.BRUSHED)
+    ranker = Ranker()
+    ranker.learn(rows)
+    for wanted in (0.3, 0.5, 0.8):
+        weights = ranker.wanting(np.array([wanted]))[0]
+        is_enough = rows["descriptor"][:, 3:] @ weights >= 0
+        least = rows["descriptor"][is_enough, 3].min()
+        assert least == pytest.approx(wanted, abs=0.12)
+
+
+def test_a_weight_for_the_constant_is_never_zero() -> None:
+    """It would ask for nothing."""
+    ranker = Ranker()
+    ranker._model.weights = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert ranker.wanting(np.array([0.5]))[0, -1] > 0
+
+
 def test_weights_fit_into_their_genes_in_the_same_proportions() -> None:
-    weights = bearable(np.array([30.0, -3.0, 0.0, 15.0, 0.0, 5.0]))
-    assert weights == pytest.approx([8, -0.8, 0, 4, 0, 0])
-
-
-def test_weights_that_fit_stay() -> None:
-    assert bearable(np.array([7.0, -3.0, 0.0, 1.0, 0.0, 5.0])).tolist() == [7, -3, 0, 1, 0, 0]
+    weights = bearable(np.array([[30.0, -3.0, 0.0, 15.0, 0.0, 7.5], [7.0, -3.0, 0.0, 1.0, 0.0, 5.0]]))
+    assert weights[0] == pytest.approx([8, -0.8, 0, 4, 0, 2])
+    assert weights[1].tolist() == [7, -3, 0, 1, 0, 5]

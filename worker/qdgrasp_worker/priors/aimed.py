@@ -3,8 +3,10 @@
 Where a hand stands is what its pose is kept by, so that a search may choose the place and leave the rest to
 geometry. A genome names a target, whose cell of 1 cm the hand stands in, a contact point and a roll to take,
 and how many candidates are drawn. A candidate's position is uniform in the cell; its contact point is the
-surface point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. Distance and direction
-follow: candidates out of the stand-off are dead ends. Which of the others is simulated, the screen says.
+surface point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. A single candidate is not
+scattered: it stands at the target itself and looks at the hint, unless that is drawn from anywhere. Distance
+and direction follow: candidates out of the stand-off are dead ends. Which of the others is simulated, the
+screen says.
 
 The roll is about the direction from the target's own position to the hint. It is carried over to those of the
 candidates as a vector, for its zero jumps between directions (`rotation.tangents`).
@@ -79,10 +81,12 @@ class Aimed(Prior):
 def vary(genes: Floats, random: Generator, surface: Surface) -> None:
     """Draw the candidates (k, g) of one genome in place: position, contact point, roll beside the hint's."""
     k = len(genes)
-    cells = np.rint(genes[:, TARGET] * PER_METRE)
-    genes[:, TARGET] = (cells - 0.5 + random.random((k, 3))) / PER_METRE
-    genes[:, HINT] += random.normal(0.0, POINT_SIGMA, (k, 3))
-    genes[:, OMEGA] = random.normal(0.0, ROLL_SIGMA, k)
+    genes[:, OMEGA] = 0.0
+    if k > 1:
+        cells = np.rint(genes[:, TARGET] * PER_METRE)
+        genes[:, TARGET] = (cells - 0.5 + random.random((k, 3))) / PER_METRE
+        genes[:, HINT] += random.normal(0.0, POINT_SIGMA, (k, 3))
+        genes[:, OMEGA] = random.normal(0.0, ROLL_SIGMA, k)
     is_loose = random.random(k) < genes[:, LOOSENESS]
     anywhere = surface.points[random.integers(len(surface.points), size=k)]
     genes[:, HINT] = np.where(is_loose[:, None], anywhere, genes[:, HINT])
