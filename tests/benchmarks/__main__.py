@@ -14,7 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from tests.benchmarks import coordination, evaluations, growth, page, recording, scaling, startup, where
+from tests.benchmarks import (
+    coordination,
+    evaluations,
+    growth,
+    memory,
+    page,
+    recording,
+    scaling,
+    startup,
+    where,
+)
 from tests.benchmarks.measure import Figure, machine, spread
 
 from qdgrasp_worker.platform import code_digest
@@ -28,6 +38,7 @@ PARTS: dict[str, Part] = {
     "coordinator": coordination.measure,
     "recorder": recording.measure,
     "start-up": startup.measure,
+    "memory": memory.measure,
 }
 
 

@@ -26,6 +26,7 @@ class Figure:
     count: float
     seconds: float
     clock: str = "cpu"
+    """Or "wall"; "none": the count alone is meant."""
     remark: str = ""
     rates: tuple[float, ...] = ()
     """Things per second in each round; empty where there was but one."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from rich.table import Table
-from tests.benchmarks.measure import Figure, spread, taken
+from tests.benchmarks.measure import Figure, number, spread, taken
 
 
 def table(name: str, figures: Sequence[Figure]) -> Table:
@@ -30,6 +30,8 @@ def lines(figures: Sequence[Figure]) -> list[list[str]]:
 
 
 def _line(figure: Figure, first: Figure, has_naive: bool) -> list[str]:
+    if figure.clock == "none":
+        return [figure.name, "", number(figure.count), "", figure.remark]
     times = figure.naive if has_naive else figure.ratios(first)
     rate = spread(figure.rates or [figure.per_second])
     return [figure.name, rate, taken(figure.microseconds), spread(times), figure.remark]

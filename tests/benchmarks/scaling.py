@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
+from typing import NamedTuple
 
 from tests.benchmarks.lot import Lot
 from tests.benchmarks.measure import ROUNDS, Figure, spread
@@ -33,18 +34,39 @@ def measure(seconds: float) -> list[Figure]:
         ]
 
 
+class Turn(NamedTuple):
+    """What processes did side by side."""
+
+    rate: float
+    """Evaluations in a second of the clock on the wall."""
+    cost: float
+    """CPU seconds of an evaluation."""
+
+
 def _lines(workers: list[Connection], regime: Regime, seconds: float) -> Iterator[Figure]:
-    rates: dict[int, list[float]] = {1: [], PROCESSES: []}
+    turns: dict[int, list[Turn]] = {1: [], PROCESSES: []}
     for _ in range(ROUNDS):
-        for count, found in rates.items():
-            for worker in workers[:count]:
-                worker.send((regime, seconds / ROUNDS))
-            found.append(sum(worker.recv() for worker in workers[:count]))
-    gains = [both / alone for alone, both in zip(rates[1], rates[PROCESSES], strict=True)]
-    for count, found in rates.items():
+        for count, found in turns.items():
+            found.append(_turn(workers[:count], regime, seconds / ROUNDS))
+    for count, found in turns.items():
         name = f"{HAND} on {OBJECT}, {regime.value}, {count} process{'' if count == 1 else 'es'}"
-        remark = "wall time" + (f"; {spread(gains)} times one process" if count > 1 else "")
-        yield Figure(name, sum(found) * seconds / ROUNDS, seconds, "wall", remark, tuple(found))
+        rates = tuple(turn.rate for turn in found)
+        remark = "wall time" + (_gain(turns[1], found) if count > 1 else "")
+        yield Figure(name, sum(rates) * seconds / ROUNDS, seconds, "wall", remark, rates)
+
+
+def _turn(workers: list[Connection], regime: Regime, seconds: float) -> Turn:
+    for worker in workers:
+        worker.send((regime, seconds))
+    rows, rates, cpu = zip(*(worker.recv() for worker in workers), strict=True)
+    return Turn(sum(rates), sum(cpu) / sum(rows))
+
+
+def _gain(alone: list[Turn], together: list[Turn]) -> str:
+    rates, costs = zip(
+        *((b.rate / a.rate, b.cost / a.cost) for a, b in zip(alone, together, strict=True)), strict=True
+    )
+    return f"; {spread(rates)} times one process, {spread(costs)} times its CPU time each"
 
 
 @contextmanager
@@ -73,7 +95,7 @@ def _serve(pipe: Connection, number: int) -> None:
         while (asked := pipe.recv()) is not None:
             regime, seconds = asked
             regimes.turn(regime, SLICE)
-            began, rows = time.perf_counter(), 0
+            began, cpu, rows = time.perf_counter(), time.process_time(), 0
             while time.perf_counter() < began + seconds:
                 rows += lot.one(BATCHES[regime])
-            pipe.send(rows / (time.perf_counter() - began))
+            pipe.send((rows, rows / (time.perf_counter() - began), time.process_time() - cpu))
