@@ -11,7 +11,7 @@ from typing import NamedTuple
 from tests.benchmarks.hands import HANDS
 from tests.benchmarks.lot import Lot
 from tests.benchmarks.measure import Figure
-from tests.benchmarks.naive import Naive
+from tests.benchmarks.naive import Published
 
 from qdgrasp_assets.catalog import build_scene, gripper_names, object_names
 from qdgrasp_assets.genes import layout
@@ -78,7 +78,7 @@ def _pair(pair: Pair, seconds: float) -> Iterator[Figure]:
         for hand in (pair.hand, pair.published)
     )
     regimes, name = Regimes(layout(scene, PRIOR)), f"{pair.hand} on {pair.object}"
-    with Evaluator(scene) as evaluator, closing(Naive(theirs)) as naive:
+    with Evaluator(scene) as evaluator, closing(Published(theirs)) as naive:
         looking = Lot(name, regimes, PRIOR, evaluator)
         while not regimes.has_looked:
             looking.skip(SLICE)
