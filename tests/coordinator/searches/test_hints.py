@@ -102,3 +102,12 @@ def test_a_roll_is_read_back_from_the_pose_and_kept_in_other_directions(axis: tu
     near = unit(directions + random.normal(0, 0.05, (200, 3)))
     read, _ = turned(*tangents(near), kept.rolls(np.arange(200), near))
     assert (aside * read).sum(axis=1).min() > 0.97
+
+
+def test_the_better_neighbour_is_preferred_and_of_equals_the_nearer() -> None:
+    kept, told = hints(), rows([Outcome.DROPPED, Outcome.HELD, Outcome.HELD])
+    told["surface_point"] = [[0.0, 0.0, 0.0], [0.08, 0.0, 0.0], [0.05, 0.0, 0.0]]
+    kept.learn(of([1, 2, 3]), told)
+    random = np.random.default_rng(0)
+    preference = kept.preference(of([1, 2, 3, 4])[None], np.zeros((1, 3)), random)[0]
+    assert np.argsort(-preference).tolist() == [2, 1, 0, 3]

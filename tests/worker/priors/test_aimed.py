@@ -53,6 +53,16 @@ def test_contact_points_are_surface_points_beside_the_hint(cube, values, grasps,
     assert 0.005 < np.sqrt((apart**2).mean()) < 0.015
 
 
+def test_a_single_candidate_stands_at_the_target_and_looks_at_the_hint(cube, values) -> None:
+    some = values.copy()
+    some[:, CANDIDATES] = 1
+    grasps = decode(cube, some)
+    assert not grasps.dead_ends.any()
+    np.testing.assert_allclose(grasps.positions, some[:, :3], atol=1e-6)
+    np.testing.assert_allclose(grasps.surface_points, some[:, 3:6], atol=1e-6)
+    np.testing.assert_array_equal(decode(cube, some[::-1]).quaternions[::-1], grasps.quaternions)
+
+
 def test_hands_look_at_their_contact_points_from_within_the_stand_off(cube, grasps, poses) -> None:
     inward = grasps.surface_points[poses] - grasps.positions[poses].astype(float)
     distances = np.linalg.norm(inward, axis=1)
