@@ -19,7 +19,7 @@ from qdgrasp_coordinator.niches import (
     without_orientation,
     without_synergy,
 )
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.search import method
 from qdgrasp_protocol.outcome import Outcome
 
 
@@ -51,7 +51,7 @@ class Diversity(Struct, frozen=True, kw_only=True):
 def synergies_of(folder: RunFolder) -> Synergies:
     """How the genomes of a run name synergies; without its scene all are taken for one."""
     known = folder.has_bundle()
-    return synergies(folder.scene(), METHODS[folder.spec.method].prior) if known else UNKNOWN
+    return synergies(folder.scene(), method(folder.spec.method).prior) if known else UNKNOWN
 
 
 def niche_archive(folder: RunFolder) -> NicheArchive:
