@@ -58,6 +58,8 @@ CASES = {
     "spherical": ("spherical", lambda make: make("panda", "tennis_ball", "paper")),
     "aimed": ("aimed", lambda make: many_ways(make("panda", "rubiks_cube", "paper"))),
 }
+MANY = {"synergies": (160, 16), "spherical": (160, 16), "aimed": (240, 96)}
+"""How many genomes, and how many of them from near by, where that is not 320 and 32."""
 
 
 def spherical(scene: Scene, genomes: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -90,8 +92,13 @@ RECAST = {"spherical": spherical, "aimed": aimed}
 
 
 @pytest.fixture(scope="module", params=CASES)
-def case(request):
-    return CASES[request.param]
+def name(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def case(name):
+    return CASES[name]
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +112,11 @@ def evaluate(case, scene):
 
 
 @pytest.fixture(scope="module")
-def genomes(case, scene, draw):
+def genomes(name, case, scene, draw):
     if case[0] == "antipodal":
         return draw(320, 4, seed=3)
-    many = 96 if case[0] == "aimed" else 32
-    near = draw(320, len(layout(scene, "approach")), seed=3, near=many)
+    n, many = MANY.get(name, (320, 32))
+    near = draw(n, len(layout(scene, "approach")), seed=3, near=many)
     return RECAST[case[0]](scene, near) if case[0] in RECAST else near
 
 
@@ -140,21 +147,18 @@ def test_the_genomes_reach_every_phase(rows):
     assert sum(outcome.is_grasp for outcome in outcomes) >= 15
 
 
-@pytest.mark.parametrize("order", ["reversed", "shuffled"])
-def test_another_order_gives_the_same_bytes(evaluate, genomes, rows, order):
-    place = np.arange(len(genomes))[::-1]
-    if order == "shuffled":
-        place = np.random.default_rng(5).permutation(len(genomes))
-    assert results(evaluate(genomes[place])) == results(rows[place])
+def test_another_order_gives_the_same_bytes(evaluate, genomes, rows):
+    assert results(evaluate(genomes[::-1])) == results(rows[::-1])
 
 
 @pytest.mark.parametrize("batch", [1, 37])
-def test_another_batch_size_gives_the_same_bytes(evaluate, genomes, rows, batch):
-    assert results(evaluate(genomes, batch)) == results(rows)
+def test_another_order_in_other_batches_gives_the_same_bytes(evaluate, genomes, rows, batch):
+    place = np.random.default_rng(batch).permutation(len(genomes))
+    assert results(evaluate(genomes[place], batch)) == results(rows[place])
 
 
 def test_a_world_of_its_own_for_each_genome_gives_the_same_bytes(evaluate, genomes, rows):
-    some = slice(20, 60)
+    some = slice(8, 28)
     alone = [evaluate(genome[None]) for genome in genomes[some]]
     assert results(np.concatenate(alone)) == results(rows[some])
 

@@ -16,7 +16,7 @@ from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 
 GENOMES = 900
-FEW = {Outcome.DROPPED: 6, Outcome.SHAKEN: 3, Outcome.HELD: 2}
+FEW = {Outcome.DROPPED: 3, Outcome.SHAKEN: 2, Outcome.HELD: 1}
 MANY = {Outcome.DROPPED: 18, Outcome.SHAKEN: 14, Outcome.HELD: 10}
 """How many successes of each outcome are tried a hundred times."""
 ELSEWHERE = """
@@ -120,10 +120,9 @@ def test_an_overlap_that_the_noise_causes_counts_nothing(rows):
     assert not rows["fitness"][rows["outcome"] == Outcome.OVERLAP].any()
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_permutation_of_trials_changes_no_byte_of_any(scene, mixed, rows, seed):
+def test_a_permutation_of_trials_changes_no_byte_of_any(scene, mixed, rows):
     genomes, trials = mixed
-    place = np.random.default_rng(seed).permutation(len(trials))
+    place = np.random.default_rng(1).permutation(len(trials))
     assert results(evaluated(scene, genomes[place], trials[place])) == results(rows[place])
 
 
