@@ -20,7 +20,7 @@ from qdgrasp_protocol.errors import FolderError
 
 PATIENCE = 120.0  # seconds that anything may take before a test fails
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
-LONG = (*SMALL, "--evaluations", "400")
+LONG = (*SMALL, "--evaluations", "320")
 
 
 @dataclass(frozen=True)

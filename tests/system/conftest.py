@@ -25,9 +25,9 @@ def long_digest(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="session")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict]:
-    """An undisturbed run of 240 evaluations: its folder, digest and figures."""
+    """An undisturbed run of 200 evaluations: its folder, digest and figures."""
     home = tmp_path_factory.mktemp("reference")
     commands = Commands(home)
-    done = commands("run", *SMALL, "--evaluations", 240, "--workers", 1, "--out", "run")
+    done = commands("run", *SMALL, "--evaluations", 200, "--workers", 1, "--out", "run")
     assert done.code == 0, done.err
     return home / "run", commands.digest("run"), commands.info("run")

@@ -29,11 +29,11 @@ object = "tennis_ball"
 method = ["contact_rand", "contact_me_scs"]
 [[cross]]
 object = "rubiks_cube"
-evaluations = 240
+evaluations = 200
 """
 RUNS = {
     "panda-tennis_ball-contact_rand-s0-population40": ("--method", "contact_rand", "--evaluations", 160),
-    "panda-rubiks_cube-aimed-s0-population40": ("--evaluations", 240, "--generations-in-flight", 1),
+    "panda-rubiks_cube-aimed-s0-population40": ("--evaluations", 200, "--generations-in-flight", 1),
 }
 
 
@@ -73,7 +73,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
     commands = Commands(tmp_path_factory.mktemp("campaign"))
     ended = commands("campaign", write(commands.home), "--workers", 2, "--out", "out")
     assert ended.code == 0, ended.err
-    assert "3 of 3 runs with 560 evaluations" in ended.out
+    assert "3 of 3 runs with 520 evaluations" in ended.out
     return commands
 
 
@@ -96,20 +96,20 @@ def test_a_finished_campaign_is_not_carried_out_again(done):
 
 def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgrasp):
     shutil.copytree(done.home / "out", qdgrasp.home / "out")
-    longer = SMALL.replace("evaluations = 240", "evaluations = 300")
+    longer = SMALL.replace("evaluations = 200", "evaluations = 260")
     grown = longer.replace(
         '"contact_rand", "contact_me_scs"]', '"contact_rand", "contact_me_scs"]\nseed = [0, 1]'
     )
     ended = qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
     assert ended.code == 0, ended.err
     assert "2 of 5 runs are finished already" in ended.err
-    assert "5 of 5 runs with 940 evaluations" in ended.out
+    assert "5 of 5 runs with 900 evaluations" in ended.out
     extended = "panda-rubiks_cube-aimed-s0-population40"
     finished = digests(done).keys() - {extended}
     for found in (digests, cpu_seconds):
         before, after = found(done), found(qdgrasp)
         assert {name: after[name] for name in finished} == {name: before[name] for name in finished}
-    assert qdgrasp.info(Path("out/runs") / extended)["evaluations"] == 300
+    assert qdgrasp.info(Path("out/runs") / extended)["evaluations"] == 260
 
 
 # What is asked for cannot be.
@@ -307,6 +307,6 @@ def test_every_method_works_with_a_hand_of_three_fingers(qdgrasp):
     slice_ = slice_.replace('["panda", "barrett", "allegro", "shadow"]', '"barrett"')
     ended = qdgrasp("campaign", write(qdgrasp.home, slice_), "--out", "out", "--workers", 2)
     assert ended.code == 0, ended.err
-    assert "11 of 11 runs with 660 evaluations" in ended.out
+    assert "12 of 12 runs with 720 evaluations" in ended.out
     for folder in (qdgrasp.home / "out" / "runs").iterdir():
         assert qdgrasp.info(folder)["errors"] == 0
