@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from tests.benchmarks.measure import Figure
+from tests.worker.aiming import encoded, facing
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.scene import pack_scene, unpack_scene
+from qdgrasp_assets.genes import MOST_CANDIDATES, layout
+from qdgrasp_assets.scene import Scene, pack_scene, unpack_scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.worlds import MOST, Worlds
@@ -25,6 +28,7 @@ LOOKS = 20
 """How often a course is looked at; the first fifth of it is warming up."""
 BATCH = 100
 MEGABYTE = 1 << 20
+Genomes = NDArray[np.float32]
 EIGHT = tuple(
     (gripper, thing)
     for gripper in ("panda", "allegro", "barrett", "shadow")
@@ -49,7 +53,7 @@ class Course:
 
 COURSES = (
     Course("panda", "rubiks_cube", "contact", 100_000),
-    Course("panda", "mug", "aimed", 4_000),
+    Course("panda", "mug", "aimed", 3_000),
 )
 
 
@@ -87,11 +91,24 @@ def follow(course: Course) -> Found:
 
 def evaluate(evaluator: Evaluator, prior: str, number: int, random: np.random.Generator) -> None:
     """Evaluate so many random genomes."""
-    genes = evaluator.shape(prior).genes
     for start in range(0, number, BATCH):
         n = min(BATCH, number - start)
-        genomes = random.uniform(-1.0, 1.0, (n, genes)).astype(np.float32)
-        evaluator.evaluate(prior, genomes, np.zeros(n, np.uint16))
+        evaluator.evaluate(prior, DRAWN[prior](evaluator.scene, n, random), np.zeros(n, np.uint16))
+
+
+def anywhere(scene: Scene, n: int, random: np.random.Generator) -> Genomes:
+    """Genomes (n, d) of the prior contact."""
+    return random.uniform(-1.0, 1.0, (n, len(layout(scene, "contact")))).astype(np.float32)
+
+
+def above(scene: Scene, n: int, random: np.random.Generator) -> Genomes:
+    """Genomes (n, d) of the prior aimed, that look at the surface, of as many candidates as there may be."""
+    seed = int(random.integers(1 << 32))
+    return encoded(scene, facing(scene, n, candidates=MOST_CANDIDATES, looseness=1.0, seed=seed))
+
+
+DRAWN = {"contact": anywhere, "aimed": above}
+"""How genomes of a prior are drawn."""
 
 
 def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
