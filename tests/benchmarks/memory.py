@@ -22,11 +22,12 @@ from qdgrasp_assets.genes import MOST_CANDIDATES, layout
 from qdgrasp_assets.scene import Scene, pack_scene, unpack_scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.service import SLICE
 from qdgrasp_worker.worlds import MOST, Worlds
 
 LOOKS = 20
 """How often a course is looked at; the first fifth of it is warming up."""
-BATCH = 100
+BATCH = SLICE
 MEGABYTE = 1 << 20
 Genomes = NDArray[np.float32]
 EIGHT = tuple(
@@ -112,7 +113,7 @@ DRAWN = {"contact": anywhere, "aimed": above}
 
 
 def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
-    """Keep as many scenes as a worker does, and some batches of two priors on each."""
+    """Keep as many scenes as a worker does, and evaluate genomes of two priors on each."""
     random, sizes = np.random.default_rng(0), [status("VmRSS")]
     assert len(scenes) <= MOST
     with Worlds() as worlds:
@@ -122,7 +123,7 @@ def serve(scenes: tuple[tuple[str, str], ...] = EIGHT) -> Found:
                 f"{gripper} {thing}", lambda payload=payload: Evaluator(unpack_scene(payload))
             )
             for prior in ("contact", "aimed"):
-                evaluate(evaluator, prior, BATCH, random)
+                evaluate(evaluator, prior, 2 * SLICE, random)
             sizes.append(status("VmRSS"))
     return Found(tuple(sizes), status("VmHWM"))
 
