@@ -1,7 +1,7 @@
-"""Evaluations per CPU second by hand, object and regime, beside the naive path, and what they are spent on.
+"""Evaluations per CPU second by hand, object and regime, beside the public code, and what they spend it on.
 
 Poses anywhere, poses near grasps (as `qdgrasp bench` draws them), and those of the default method's search.
-The naive path has the same genomes and the published model of the hand.
+Those calls have the same genomes and the published model of the hand.
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ class Pair(NamedTuple):
 
     @property
     def published(self) -> str:
-        """The hand of the naive path: the published model, where it is at hand."""
+        """The hand of the public code: the published model, where it is there."""
         hand = HANDS.get(self.hand, self.hand)
         return hand if hand in gripper_names() else self.hand
 

@@ -1,4 +1,4 @@
-"""A lot: evaluations of one search in one world, perhaps beside the naive path's of the same genomes."""
+"""A lot: evaluations of one search in one world, perhaps beside the public code's of the same genomes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ class Lot:
         return len(genomes)
 
     def measured(self, seconds: float) -> Figure:
-        """Measure it for so long, the naive path included; and half of it once more, under a watch."""
+        """Measure it for so long, the naive path's time included; and half of it once more, under a watch."""
         self._outcomes.clear()
         while sum(self._own) + sum(self._other) < seconds:
             self._measure(self._next(self._batch))
@@ -75,7 +75,7 @@ class Lot:
             sum(self._own),
             remark=self._remark,
             rates=tuple(rates.tolist()),
-            naive=tuple(times.tolist()) if self._naive else (),
+            published=tuple(times.tolist()) if self._naive else (),
             stages=self._profile.stages(1e6 * sum(self._own) / sum(self._rows)),
         )
 

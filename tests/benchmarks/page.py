@@ -24,14 +24,19 @@ def markdown(name: str, figures: Sequence[Figure]) -> str:
 
 def lines(figures: Sequence[Figure]) -> list[list[str]]:
     """The head of a part's table, and its rows."""
-    has_naive = any(figure.naive for figure in figures)
-    heads = ["what", "per second", "one takes", "naive path, times" if has_naive else "first line, times"]
-    return [[*heads, "remark"], *(_line(figure, figures[0], has_naive) for figure in figures)]
+    is_beside = any(figure.published for figure in figures)
+    heads = [
+        "what",
+        "per second",
+        "one takes",
+        "public code's calls, times" if is_beside else "first line, times",
+    ]
+    return [[*heads, "remark"], *(_line(figure, figures[0], is_beside) for figure in figures)]
 
 
-def _line(figure: Figure, first: Figure, has_naive: bool) -> list[str]:
+def _line(figure: Figure, first: Figure, is_beside: bool) -> list[str]:
     if figure.clock == "none":
         return [figure.name, "", number(figure.count), "", figure.remark]
-    times = figure.naive if has_naive else figure.ratios(first)
+    times = figure.published if is_beside else figure.ratios(first)
     rate = spread(figure.rates or [figure.per_second])
     return [figure.name, rate, taken(figure.microseconds), spread(times), figure.remark]
