@@ -5,7 +5,7 @@ IS_3_11 := import sys; sys.exit(sys.version_info[:2] != (3, 11))
 PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11)" 2>/dev/null && echo $$name && break; done)
 
 # One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
-IN_PARALLEL := -n auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder
+IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 
 .PHONY: help demo test test-slow check bench results results-page clean
 help:

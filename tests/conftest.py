@@ -1,8 +1,10 @@
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
 settings.register_profile(
     "shared", deadline=None
@@ -16,15 +18,21 @@ SIBLING = TESTS.parents[1] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Where several processes test (`pytest -n`), a module stays in one, and so does all of tests/system.
+class ByModule(LoadScopeScheduling):
+    """Where several processes test (`pytest -n`): a module stays in one, and so does all of tests/system."""
 
-    That comes first: it takes longest, and starts processes of its own.
-    """
+    def _split_scope(self, nodeid: str) -> str:
+        module = nodeid.partition("::")[0]
+        return SYSTEM.name if SYSTEM in (TESTS.parent / module).parents else module
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByModule:
+    return ByModule(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What starts processes of its own takes longest, and comes first."""
     items.sort(key=lambda item: SYSTEM not in item.path.parents)
-    for item in items:
-        group = SYSTEM if SYSTEM in item.path.parents else item.path
-        item.add_marker(pytest.mark.xdist_group(str(group)))
 
 
 @pytest.fixture(scope="session")
