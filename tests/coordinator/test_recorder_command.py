@@ -12,11 +12,12 @@ from typing import IO
 
 import pytest
 from tests.coordinator.recording import BUNDLE, JOB, SOON, SPEC, Coordinator, make_rows
+from tests.endpoints import own_endpoint
 
 from qdgrasp_coordinator.digest import digest
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.journal import Journal
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def folder(tmp_path: Path) -> RunFolder:
 
 @pytest.fixture
 def endpoint() -> str:
-    return free_endpoint()
+    return own_endpoint()
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -14,13 +14,14 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
+from tests.endpoints import own_endpoint
 
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import HOME, PORT, ZenohBus, free_endpoint
 
 TEXT = "text/plain"
 SOON = 10.0  # seconds that anything may take that is to happen
@@ -37,7 +38,7 @@ def opener(request: pytest.FixtureRequest) -> Iterator[Opener]:
             network = LocalNetwork()
             yield lambda: stack.enter_context(network.session())
         else:
-            endpoint = free_endpoint()
+            endpoint = own_endpoint()
             stack.enter_context(ZenohBus.router(endpoint))
             yield lambda: stack.enter_context(ZenohBus.connect(endpoint, SOON))
 
@@ -236,7 +237,7 @@ class TestBus:
 
 class TestZenohBus:
     def test_tokens_subscribers_and_links_come_back_with_the_router(self) -> None:
-        endpoint, links, tokens, heard = free_endpoint(), Ear(), Ear(), Ear()
+        endpoint, links, tokens, heard = own_endpoint(), Ear(), Ear(), Ear()
         with ExitStack() as stack:
             router = stack.enter_context(ZenohBus.router(endpoint))
             client = stack.enter_context(ZenohBus.connect(endpoint, SOON))
@@ -260,7 +261,7 @@ class TestZenohBus:
             assert heard.next().payload == b"again"
 
     def test_a_client_that_leaves_is_no_news_of_the_routers_link(self) -> None:
-        links, tokens, endpoint = Ear(), Ear(), free_endpoint()
+        links, tokens, endpoint = Ear(), Ear(), own_endpoint()
         with ZenohBus.router(endpoint) as router, router.on_link(links), router.watch("test/*", tokens):
             with ZenohBus.connect(endpoint, SOON) as client:
                 client.token("test/client")
@@ -269,7 +270,7 @@ class TestZenohBus:
             assert links.hears_nothing()
 
     def test_a_taken_port_is_one_sentence_that_names_the_endpoint(self) -> None:
-        endpoint = free_endpoint()
+        endpoint = own_endpoint()
         with ZenohBus.router(endpoint), pytest.raises(EndpointError) as caught:
             ZenohBus.router(endpoint)
         assert str(caught.value) == (
@@ -285,7 +286,7 @@ class TestZenohBus:
                 ZenohBus.connect(endpoint, 0.3)
 
     def test_a_router_that_starts_late_is_found(self) -> None:
-        endpoint, found = free_endpoint(), Ear()
+        endpoint, found = own_endpoint(), Ear()
 
         def connect() -> None:
             with ZenohBus.connect(endpoint, SOON):
@@ -301,7 +302,7 @@ class TestZenohBus:
         stop = Stop()
         stop.set(15)
         with pytest.raises(SystemExit) as caught:
-            ZenohBus.connect(free_endpoint(), 3600.0, stop)
+            ZenohBus.connect(own_endpoint(), 3600.0, stop)
         assert caught.value.code == 143
 
     @pytest.mark.parametrize("text", ["", "7447", "localhost:7447", "tcp/localhost", "tcp/a b:1", "tpc/a:1"])
@@ -311,12 +312,13 @@ class TestZenohBus:
                 opener(text)
 
     def test_a_free_endpoint_is_another_one_while_the_default_is_taken(self) -> None:
-        first = free_endpoint()
-        with ZenohBus.router(first):
-            assert free_endpoint() != first
+        with ExitStack() as stack:
+            with suppress(OSError):  # somebody else has it
+                stack.enter_context(socket.create_server((HOME, PORT)))
+            assert free_endpoint() != f"tcp/{HOME}:{PORT}"
 
     def test_a_process_that_leaves_its_session_ends(self) -> None:
-        endpoint = free_endpoint()
+        endpoint = own_endpoint()
         code = (
             "from qdgrasp_protocol.zenoh_bus import ZenohBus\n"
             f"with ZenohBus.router({endpoint!r}) as router, ZenohBus.connect({endpoint!r}, 5) as bus:\n"
