@@ -123,7 +123,7 @@ class Aimed:
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
         """For each target a success around it, or in it: see `Hints.preference`."""
         options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
-        preference = self._hints.preference(options, self._frontier.centres(targets), generator)
+        preference = self._hints.preference(options, generator)
         parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
         return parents
 
@@ -137,7 +137,7 @@ class Aimed:
         return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
 
     def _weights(self, aims: Aims) -> Floats:
-        """What the candidates of each genome are ranked by, and what they must promise: (n, 6).
+        """What the candidates of each genome are ranked by, and what they must promise: (n, features).
 
         Where every pose counts, one that is refused would count as well.
         """

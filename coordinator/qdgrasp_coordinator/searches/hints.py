@@ -8,14 +8,15 @@ belongs to a frame that jumps between directions (`rotation.tangents`).
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.rotation import Floats, dot, rolls, rotate, tangents, unit
+from qdgrasp_assets.rotation import Floats, rolls, rotate, tangents, unit
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.searches.frontier import Places
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
-EQUAL = 0.004
-"""Contact points whose distances differ by less are taken for equally near [m]."""
+CHANCE = 3.0
+"""What chance adds to a rank at most: so much that a dropped success is followed now and then where a held
+one is near, and that equals are all followed in turn."""
 NONE = -1
 """The slot of a place without a hint."""
 FIRST = 256
@@ -70,16 +71,13 @@ class Hints:
         slots = self._slots[places]
         return np.where(slots == NONE, -1.0, self._kept["rank"][slots])
 
-    def preference(self, options: Places, centres: Floats, generator: np.random.Generator) -> Floats:
-        """How far each of `options` (n, k) is preferred for a try at `centres` (n, 3) [m]: (n, k).
+    def preference(self, options: Places, generator: np.random.Generator) -> Floats:
+        """How far each of `options` (n, k) is preferred, by outcome and by chance: (n, k).
 
-        The better outcome first, and of equals the nearer contact point, give or take `EQUAL`: what is near
-        holds. -1 where there is none.
+        -1 where there is none.
         """
         ranks = self.ranks(options)
-        ways = self._at("point", options) - centres[:, None]
-        nearness = -np.sqrt(dot(ways, ways)) - EQUAL * generator.random(options.shape)
-        return np.where(ranks < 0, -1.0, ranks + nearness)
+        return np.where(ranks < 0, -1.0, ranks + CHANCE * generator.random(options.shape))
 
     @property
     def weak(self) -> Places:

@@ -13,7 +13,10 @@ FEW = 10
 """So many successes and so many failures must be there before the first fit."""
 NEWTON_STEPS = 5
 RIDGE = 1.0
-"""Precision of the weights' prior, N(mean, 1 / RIDGE); it keeps a fit finite when features tell all."""
+"""Precision of the weights' prior, N(mean, 1 / RIDGE), features in their units; it keeps a fit finite when
+features tell all."""
+STEADY = 1e-9
+"""The variance below which a feature is taken for constant."""
 GRAIN = 64
 """Weights are whole multiples of 1 / GRAIN: the last bits of a fit, which differ between processors, do not
 reach the genomes."""
@@ -26,12 +29,16 @@ class Logistic:
     ----------
     start
         (features,): the weights until the first fit, and the mean of their prior in all fits.
+    own_units
+        Whether the unit of each feature is its standard deviation, instead of 1: what is small then tells as
+        much as what is large.
     """
 
-    def __init__(self, start: ArrayLike) -> None:
+    def __init__(self, start: ArrayLike, *, own_units: bool = False) -> None:
         self._start = _in_grains(np.asarray(start, np.float64))
         self.weights: Floats = self._start
         """One for each feature, in whole grains."""
+        self._own_units = own_units
         self._features = np.zeros((MEMORY, len(self._start)))
         self._successes = np.zeros(MEMORY, np.bool_)
         self._heard = 0
@@ -46,26 +53,35 @@ class Logistic:
         known = min(self._heard, MEMORY)
         if self._heard - self._fitted >= PATIENCE and _is_telling(self._successes[:known]):
             self._fitted = self._heard
-            self.weights = _in_grains(fit(self._features[:known], self._successes[:known], self._start))
+            features, successes = self._features[:known], self._successes[:known]
+            precision = RIDGE * (_variances(features) if self._own_units else np.ones(len(self._start)))
+            self.weights = _in_grains(fit(features, successes, self._start, precision))
 
     def likely(self, features: Floats) -> Floats:
         """The probability (n,) of success for features (n, k)."""
         return _likely(features, self.weights)
 
 
-def fit(features: Floats, successes: NDArray[np.bool_], mean: Floats) -> Floats:
-    """The weights (k,) of features (n, k), by Newton's method from zero, `mean` (k,) being their prior's.
+def fit(features: Floats, successes: NDArray[np.bool_], mean: Floats, precision: Floats) -> Floats:
+    """The weights (k,) of features (n, k), by Newton's method from zero.
 
-    Sums are einsum's own loops: no matrix library with threads, for so little.
+    Mean and precision (k,) are those of their prior. Sums are einsum's own loops: no matrix library with
+    threads, for so little.
     """
     weights = np.zeros(features.shape[1])
     for _ in range(NEWTON_STEPS):
         likely = _likely(features, weights)
-        gradient = np.einsum("nk,n->k", features, successes - likely) - RIDGE * (weights - mean)
+        gradient = np.einsum("nk,n->k", features, successes - likely) - precision * (weights - mean)
         scaled = features * (likely * (1.0 - likely))[:, None]
-        curvature = np.einsum("nk,nl->kl", scaled, features) + RIDGE * np.eye(len(weights))
+        curvature = np.einsum("nk,nl->kl", scaled, features) + np.diag(precision)
         weights = weights + np.linalg.solve(curvature, gradient)
     return weights
+
+
+def _variances(features: Floats) -> Floats:
+    """Those of features (n, k): (k,); 1 for constants."""
+    variances = features.var(axis=0)
+    return np.where(variances > STEADY, variances, 1.0)
 
 
 def _in_grains(weights: Floats) -> Floats:

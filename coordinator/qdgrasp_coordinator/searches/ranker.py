@@ -16,10 +16,10 @@ class Ranker:
     """
 
     def __init__(self) -> None:
-        self._model = Logistic(np.zeros(len(FEATURES)))
+        self._model = Logistic(np.zeros(len(FEATURES)), own_units=True)
 
     def wanting(self, likely: Floats) -> Floats:
-        """Weights (n, 6) for genomes of which no candidate less `likely` (n,) to succeed is simulated.
+        """Weights (n, features) for genomes of which no candidate less `likely` (n,) to succeed is simulated.
 
         Then the score is negative. Before the first fit they want nothing.
         """
@@ -38,7 +38,7 @@ class Ranker:
 
 
 def bearable(weights: Floats) -> Floats:
-    """The weights (n, 6) scaled down where one is too steep for its gene: no order and no sign changes."""
+    """The weights (n, features), less where one is too steep for its gene: no order and no sign changes."""
     steepest = np.maximum(np.abs(weights).max(axis=1, keepdims=True), STEEPEST)
     scaled: Floats = weights * (STEEPEST / steepest)
     return scaled

@@ -104,10 +104,12 @@ def test_a_roll_is_read_back_from_the_pose_and_kept_in_other_directions(axis: tu
     assert (aside * read).sum(axis=1).min() > 0.97
 
 
-def test_the_better_neighbour_is_preferred_and_of_equals_the_nearer() -> None:
+def test_the_better_neighbour_is_preferred_mostly_and_equals_alike() -> None:
     kept, told = hints(), rows([Outcome.DROPPED, Outcome.HELD, Outcome.HELD])
-    told["surface_point"] = [[0.0, 0.0, 0.0], [0.08, 0.0, 0.0], [0.05, 0.0, 0.0]]
     kept.learn(of([1, 2, 3]), told)
-    random = np.random.default_rng(0)
-    preference = kept.preference(of([1, 2, 3, 4])[None], np.zeros((1, 3)), random)[0]
-    assert np.argsort(-preference).tolist() == [2, 1, 0, 3]
+    options = np.tile(of([1, 2, 3, 4]), (3000, 1))
+    chosen = kept.preference(options, np.random.default_rng(0)).argmax(axis=1)
+    dropped, one, other, none = np.bincount(chosen, minlength=4)
+    assert none == 0
+    assert 0 < dropped < 0.2 * one
+    assert one == pytest.approx(other, rel=0.15)

@@ -6,7 +6,7 @@ import pytest
 from qdgrasp_coordinator.searches.logistic import FEW, GRAIN, PATIENCE, Logistic, fit
 
 TRUE = np.array([3.0, -1.0, 0.5, 0.0, -2.0, 0.7])
-UNKNOWN = np.zeros(6)
+UNKNOWN, PLAIN = np.zeros(6), np.ones(6)
 
 
 def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -17,12 +17,12 @@ def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_fit_finds_the_weights_that_made_the_successes() -> None:
-    assert fit(*poses(20_000), UNKNOWN) == pytest.approx(TRUE, abs=0.15)
+    assert fit(*poses(20_000), UNKNOWN, PLAIN) == pytest.approx(TRUE, abs=0.15)
 
 
 def test_features_that_tell_everything_leave_it_finite() -> None:
     features, _ = poses(500)
-    weights = fit(features, features[:, 0] > 0, UNKNOWN)
+    weights = fit(features, features[:, 0] > 0, UNKNOWN, PLAIN)
     assert np.isfinite(weights).all()
     assert weights[0] > 3 * np.abs(weights[1:]).max()
 
@@ -44,6 +44,15 @@ def test_likelihoods_are_those_of_the_examples() -> None:
     for low in (0.0, 0.2, 0.4, 0.6, 0.8):
         is_like = (likely >= low) & (likely < low + 0.2)
         assert successes[is_like].mean() == pytest.approx(likely[is_like].mean(), abs=0.08)
+
+
+def test_in_its_own_units_a_small_feature_tells_as_much_as_a_large_one() -> None:
+    features, successes = poses(2000)
+    small = features * ([1e-3] * 5 + [1.0])
+    large_model, small_model = (Logistic(UNKNOWN, own_units=True) for _ in range(2))
+    large_model.learn(features, successes)
+    small_model.learn(small, successes)
+    assert small_model.likely(small) == pytest.approx(large_model.likely(features), abs=0.02)
 
 
 def test_it_forgets_what_is_long_ago() -> None:

@@ -3,15 +3,19 @@
 import numpy as np
 import pytest
 
+from qdgrasp_assets.genes import FEATURES
 from qdgrasp_coordinator.searches.ranker import Ranker, bearable
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Shape
 
+N = len(FEATURES)
+SHAPE = Shape(genes=9 + N, joints=1, descriptors=3 + N)
+
 
 def test_what_makes_success_has_weight() -> None:
     random = np.random.default_rng(0)
-    rows = Shape(genes=15, joints=1, descriptors=9).empty(1000)
-    features = np.concatenate([random.random((1000, 5)), np.ones((1000, 1))], axis=1)
+    rows = SHAPE.empty(1000)
+    features = np.concatenate([random.random((1000, N - 1)), np.ones((1000, 1))], axis=1)
     rows["descriptor"][:, 3:] = features
     rows["outcome"] = np.where(features[:, 1] - features[:, 4] > 0, Outcome.SHAKEN, Outcome.BRUSHED)
     ranker = Ranker()
@@ -23,9 +27,9 @@ def test_what_makes_success_has_weight() -> None:
 
 def test_what_is_likelier_than_wanted_scores_above_zero() -> None:
     random = np.random.default_rng(0)
-    rows = Shape(genes=15, joints=1, descriptors=9).empty(1000)
+    rows = SHAPE.empty(1000)
     rows["descriptor"][:, 3] = random.random(1000)
-    rows["descriptor"][:, 8] = 1.0
+    rows["descriptor"][:, -1] = 1.0
     rows["outcome"] = np.where(random.random(1000) < rows["descriptor"][:, 3], Outcome.HELD, Outcome.BRUSHED)
     ranker = Ranker()
     ranker.learn(rows)
@@ -39,7 +43,7 @@ def test_what_is_likelier_than_wanted_scores_above_zero() -> None:
 def test_a_weight_for_the_constant_is_never_zero() -> None:
     """It would ask for nothing."""
     ranker = Ranker()
-    ranker._model.weights = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    ranker._model.weights = np.eye(N)[0]
     assert ranker.wanting(np.array([0.5]))[0, -1] > 0
 
 
