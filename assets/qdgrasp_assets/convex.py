@@ -116,9 +116,10 @@ def _key(mesh: Mesh) -> str:
 def _keep(parts: tuple[Mesh, ...], target: Path, name: str) -> None:
     """Write the parts to `target`, whole or not at all."""
     try:
-        with tempfile.NamedTemporaryFile(dir=target.parent, delete=False) as file:
-            file.write(parts_to_obj(parts))
-        Path(file.name).replace(target)
+        with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+            file = Path(folder) / target.name
+            file.write_bytes(parts_to_obj(parts))
+            file.replace(target)
     except OSError as error:
         raise _not_kept(target.parent, name, error) from None
 

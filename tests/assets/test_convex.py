@@ -104,6 +104,16 @@ def test_the_coarsest_parts_that_fit_are_taken(found):
     assert len(convex_parts(surface, "mug")) == len(own)
 
 
+def test_others_can_read_the_parts_that_are_kept(found, cache):
+    surface, own = mug()
+    found[THRESHOLDS[0]] = own
+    convex_parts(surface, "mug")
+    (kept,) = (cache / "convex").iterdir()
+    written = cache / "written"
+    written.touch()
+    assert kept.stat().st_mode == written.stat().st_mode
+
+
 def test_where_none_fit_the_finest_are_taken_with_a_warning(found, caplog):
     surface, own = mug()
     found.update(dict.fromkeys(THRESHOLDS, (hull(surface.vertices),)))
