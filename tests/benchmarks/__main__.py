@@ -6,6 +6,7 @@ process: read figures as ratios. Intervals are quartiles over the rounds.
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -72,10 +73,18 @@ def write(out: Path, found: dict[str, list[Figure]]) -> None:
         where.draw(found["evaluations"]).write(out / where.NAME)
 
 
+def seconds(text: str) -> float:
+    """The time for a line [s] that an argument says."""
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be greater than 0 and finite, got {text}")
+    return value
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("--only", action="append", choices=list(PARTS), help="a part; may be repeated")
-    parser.add_argument("--seconds", type=float, default=2.0, help="for each line (default: 2)")
+    parser.add_argument("--seconds", type=seconds, default=2.0, help="for each line (default: 2)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--out", type=Path, help="folder for bench.json, bench.md and the figure")
     asked = parser.parse_args()
