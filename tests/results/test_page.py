@@ -97,6 +97,7 @@ class TestDuels:
         text = self.text({0: 0.2, 1: 0.3, 2: 0.9}, {0: 0.1, 1: 0.2})
         line = cells(text, "panda")
         assert line[3] == "2"
+        assert line[5:7] == ["25.0 (20.0 to 30.0)", "15.0 (10.0 to 20.0)"]
         assert line[7:10] == ["+10.0", "+10.0 to +10.0", "win"]
 
     def test_an_interval_around_zero_is_nobodys_win(self) -> None:

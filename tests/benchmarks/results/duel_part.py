@@ -1,7 +1,7 @@
 """The default method against every other, after as many evaluations."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ POOLED = ("hand", "against", "objects", "of", *VERDICT)
 
 @dataclass(frozen=True)
 class Duel:
-    """The default method and another on one scene, run by run of the same seed."""
+    """The default method and another on one scene, run by run of the same seed; see `duel`."""
 
     ours: Arm
     theirs: Arm
@@ -49,7 +49,7 @@ class Duel:
     @property
     def seeds(self) -> list[int]:
         """Those that both have run."""
-        return sorted(self.ours.rows.keys() & self.theirs.rows.keys())
+        return sorted(self.ours.rows)
 
     @property
     def figure(self) -> Figure:
@@ -71,6 +71,13 @@ class Duel:
         return f"{self.theirs.key.method} with {self.ours.key.gripper} on {self.ours.key.object}"
 
 
+def duel(ours: Arm, theirs: Arm) -> Duel:
+    """Two arms, each with the seeds alone that both have run: medians are of what differences are of."""
+    both = ours.rows.keys() & theirs.rows.keys()
+    alike = [replace(arm, rows={seed: arm.rows[seed] for seed in both}) for arm in (ours, theirs)]
+    return Duel(*alike)
+
+
 def duels(known: Sequence[Arm]) -> dict[tuple[str, str, int], list[Duel]]:
     """The default against each other method of its scene and budget; by both countings and the budget."""
     groups: dict[tuple[str, str, int], list[Duel]] = {}
@@ -79,7 +86,7 @@ def duels(known: Sequence[Arm]) -> dict[tuple[str, str, int], list[Duel]]:
             alike = (ours.scene, ours.key.budget) == (theirs.scene, theirs.key.budget)
             countings = ours.key.overlaps, theirs.key.overlaps
             if alike and not theirs.is_default and countings != ("count", "redraw"):
-                groups.setdefault((*countings, ours.key.budget), []).append(Duel(ours, theirs))
+                groups.setdefault((*countings, ours.key.budget), []).append(duel(ours, theirs))
     return groups
 
 
