@@ -24,6 +24,7 @@ from qdgrasp_coordinator.preparation import full_spec, scene_shape
 from qdgrasp_coordinator.search import Build, Search, method
 from qdgrasp_coordinator.space import space
 from qdgrasp_coordinator.tally import counted
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
@@ -165,7 +166,10 @@ def main() -> None:
     parser.add_argument("--no-shakes", action="store_true", help="look at successes alone, for a fraction")
     parser.add_argument("--rows", metavar="FILE", help="write the rows there, as .npy")
     asked = parser.parse_args()
-    found = run(asked_spec(asked), shakes=not asked.no_shakes)
+    try:
+        found = run(asked_spec(asked), shakes=not asked.no_shakes)
+    except InputError as error:
+        parser.error(str(error))
     if asked.rows:
         np.save(asked.rows, found.rows)
     sys.stdout.write(json.dumps(found.as_dict()) + "\n")
