@@ -104,7 +104,13 @@ class Gripper:
     """The whole URDF; the hand is its sub-tree from `base_link`."""
 
     def on_carrier(self, protocol: str) -> SceneGripper:
-        """The hand as an evaluation protocol carries it."""
+        """The hand as an evaluation protocol carries it.
+
+        Raises
+        ------
+        AssetError
+            A mesh is missing or cannot be read.
+        """
         file = self.file
         carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
         element, meshes = carried.urdf.bundled()
@@ -126,8 +132,19 @@ class Gripper:
             palm_offset=file.palm_offset,
             standoff=file.standoff,
             jaw=file.jaw.packed if file.jaw else None,
-            extent=round(largest_side(tree(self.robot.path, element).subtree(file.base_link), meshes), 6),
+            extent=self._extent(element, meshes),
         )
+
+    def _extent(self, element: ET.Element, meshes: dict[str, bytes]) -> float:
+        """The largest side of the hand [m], to the micrometre."""
+        hand = tree(self.robot.path, element).subtree(self.file.base_link)
+        try:
+            return round(largest_side(hand, meshes), 6)
+        except Exception as error:  # noqa: BLE001  # readers of meshes raise whatever they stumble over
+            raise AssetError(
+                f"The URDF '{self.robot.path}' has a collision shape that cannot be read: "
+                f"{type(error).__name__}: {error}."
+            ) from None
 
     def _joint(self, name: str, table: JointTable) -> Joint:
         told = self.robot.joint(name)

@@ -87,6 +87,16 @@ def test_a_missing_mesh_is_named(claw):
         read(claw).on_carrier("paper")
 
 
+@pytest.mark.parametrize("text", ["v 0 0 0\n", "v a b c\n", "v 0 0 0\nf 1 2 3\n"])
+def test_a_mesh_that_cannot_be_read_is_one_sentence(claw, edit, text):
+    edit(claw.parent / "claw.urdf", "palm.stl", "palm.obj")
+    (claw.parent / "palm.obj").write_text(text)
+    with pytest.raises(
+        AssetError, match=r"claw.urdf' has a collision shape that cannot be read: \w+Error: .*"
+    ):
+        read(claw).on_carrier("paper")
+
+
 def test_a_package_reference_is_found_in_a_folder_above_the_urdf(claw, edit):
     edit(claw.parent / "claw.urdf", 'filename="palm.stl"', 'filename="package://claw_description/palm.stl"')
     folder = claw.parent / "claw_description"
