@@ -90,12 +90,14 @@ def _coarsest(mesh: Mesh, name: str, time_limit: float) -> tuple[Mesh, ...]:
             break
         if space.fit(found).is_good:
             return found
+    fit = space.fit(found)
     log.warning(
-        "The %d convex parts of '%s' fill the room in front of %.0f %% of its surface, where grasps may be "
-        "lost; %s.",
+        "The %d convex parts of '%s' fill the room in front of %.0f %% of its surface, and leave %.0f %% "
+        "of it out, where grasps may be lost; %s.",
         len(found),
         name,
-        100 * space.fit(found).filled,
+        100 * fit.filled,
+        100 * fit.bare,
         "there was no time for finer ones" if time.monotonic() > deadline else "finer ones are not tried",
     )
     return found
