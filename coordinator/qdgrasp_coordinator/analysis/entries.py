@@ -13,6 +13,7 @@ from qdgrasp_coordinator.folder import SPEC, RunFolder
 from qdgrasp_coordinator.job_folder import RUNS
 from qdgrasp_coordinator.search import METHODS
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 HANDS = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shadow")
@@ -86,19 +87,22 @@ class Entry:
 def run_folders(path: Path) -> list[RunFolder]:
     """The folders of a campaign's runs, or of the runs that lie side by side in a folder; by name.
 
-    What a run found is read from its spec, scene and journal; the files of its job are not needed.
+    Those that score given poses are passed over: they searched nothing. What a run found is read from its
+    spec, scene and journal; the files of its job are not needed.
 
     Raises
     ------
     FolderError
-        There is no such folder, or no run in it.
+        There is no such folder, or no run of a search in it.
     """
     if not path.is_dir():
         raise FolderError(f"There is no folder {path}; name a campaign's folder, or one with run folders.")
-    if (path / SPEC).is_file():
-        return [RunFolder(path)]
     home = path / RUNS if (path / RUNS).is_dir() else path
-    found = [RunFolder(place) for place in sorted(home.iterdir()) if (place / SPEC).is_file()]
+    places = [path] if (path / SPEC).is_file() else sorted(home.iterdir())
+    runs = [RunFolder(place) for place in places if (place / SPEC).is_file()]
+    found = [run for run in runs if run.spec.method != GIVEN]
+    if runs and not found:
+        raise FolderError(f"The runs in {path} score given poses: there is no search to look at.")
     if not found:
         raise FolderError(
             f"{path} holds no runs: expected run folders in {path / RUNS} or in {path} itself; "

@@ -97,6 +97,15 @@ def test_a_run_without_the_files_of_its_job_is_one_all_the_same(
     assert found.evaluations == 20
 
 
+def test_runs_that_score_given_poses_are_passed_over(tmp_path: Path, make_scene: SceneMaker) -> None:
+    pose = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0)
+    scored = record(tmp_path / "scored", make_scene(), random_rows(1), method="given", poses=(pose,))
+    with pytest.raises(FolderError, match="score given poses"):
+        run_folders(scored.path)
+    record(tmp_path / "searched", make_scene(), random_rows(20))
+    assert [folder.path.name for folder in run_folders(tmp_path)] == ["searched"]
+
+
 def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds no runs: expected run folders in"):
         run_folders(tmp_path)
