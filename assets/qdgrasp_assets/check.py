@@ -118,6 +118,7 @@ def _hulls(number: int) -> str:
 
 def _gripper(name: str) -> Report:
     hand = catalog.find_gripper(name)
+    hand.on_carrier("paper")  # reads its meshes
     file = hand.file
     fingers = f"fingers {', '.join(file.finger_links)}"
     return Report(

@@ -76,6 +76,13 @@ def test_a_gripper_is_checked_by_name_and_by_file(claw):
     assert "wrist" in check(str(claw)).faults[0]
 
 
+def test_a_gripper_whose_mesh_cannot_be_read_is_at_fault(claw):
+    urdf = claw.parent / "claw.urdf"
+    urdf.write_text(urdf.read_text().replace("palm.stl", "palm.obj"))
+    (claw.parent / "palm.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    assert "cannot be read" in check(str(claw)).faults[0]
+
+
 def test_an_absent_scan_is_a_fault_with_its_remedy(monkeypatch, tmp_path):
     monkeypatch.setenv("QDGRASP_DATA", str(tmp_path))
     monkeypatch.delenv("QDGRASP_ASSET_PATH", raising=False)
