@@ -26,6 +26,7 @@ class ByModule(LoadScopeScheduling):
         return SYSTEM.name if SYSTEM in (TESTS.parent / module).parents else module
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByModule:
     return ByModule(config, log)
 
