@@ -24,7 +24,7 @@ class Key(NamedTuple):
     method: str
     overlaps: str
     settings: str
-    """Whatever else of the spec is not the spec's default, such as `population=50`; mostly empty."""
+    """Whatever else of the spec is not the spec's default: `population=50` of `aimed`, mostly nothing."""
     seed: int
     budget: int
 
