@@ -150,3 +150,29 @@ def rows_of(number: int, genomes: Genomes, shape: Shape = SHAPE) -> Rows:
     rows = shape.empty(len(genomes))
     rows["generation"], rows["index"], rows["genome"] = number, np.arange(len(genomes)), genomes
     return rows
+
+
+class Spy(Chain):
+    """Notes in which order it is asked and told."""
+
+    def __init__(self, population: int, seed: int = 0) -> None:
+        super().__init__(population, seed)
+        self.calls: list[str] = []
+
+    def ask(self, generation: int) -> Genomes:
+        self.calls.append(f"ask {generation}")
+        return super().ask(generation)
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        self.calls.append(f"tell {generation}")
+        super().tell(generation, rows)
+
+
+def asked(pipeline: Pipeline) -> Rows:
+    """All rows that may be asked now, evaluated."""
+    parts = [SHAPE.empty(0)]
+    while (generation := pipeline.ask()) is not None:
+        rows = rows_of(generation.number, generation.genomes)
+        rows["index"], rows["trial"] = generation.indices, generation.trials
+        parts.append(evaluate(rows))
+    return np.concatenate(parts)
