@@ -48,7 +48,7 @@ class Aims:
         candidates
             How many candidates are drawn for each.
         weights
-            (6,): what the candidates are ranked by.
+            (n, features): what the candidates of each are ranked by.
         """
         values = np.zeros((len(self), OWN))
         values[:, TARGET], values[:, CONTACT] = self.targets, self.contacts
