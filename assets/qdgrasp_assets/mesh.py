@@ -16,8 +16,6 @@ log = logging.getLogger(__name__)
 
 LARGEST = 2.0  # m: what a hand could grasp is smaller, so a larger mesh was drawn in millimetres
 FLATTEST = 1e-12  # m3: a closed mesh with less volume has no inside
-PART = frozenset({"o"})
-"""What begins a convex part in an OBJ file."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +175,7 @@ def _check_size(path: Path, extents: Floats) -> None:
 
 
 def read_parts(path: Path) -> tuple[Mesh, ...]:
-    """The convex parts in an OBJ file, one for each `o` group, vertices and triangles in the file's order.
+    """The convex parts in an OBJ file, one for each group, vertices and triangles in the file's order.
 
     Raises
     ------
@@ -193,7 +191,7 @@ def read_parts(path: Path) -> tuple[Mesh, ...]:
 
 
 def _parts(text: str) -> tuple[Mesh, ...]:
-    read = read_obj(text, PART)
+    read = read_obj(text)
     return tuple(_part(read.vertices, group) for group in read.groups)
 
 

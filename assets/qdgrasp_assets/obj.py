@@ -1,6 +1,10 @@
-"""OBJ files: their corners and triangles, group by group; materials, normals and texture are left aside."""
+"""OBJ files: their corners and triangles, group by group; materials, normals and texture are left aside.
 
-from collections.abc import Iterator, Set
+Groups are those that the simulator makes a hull of each; a material begins none.
+"""
+
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -8,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-STARTS = frozenset({"o", "g", "usemtl"})
-"""Words that may begin another group."""
+START = re.compile(r"[ \t]*[og][ \t]")
+"""What begins another group, for Bullet's reader too: a word that stands alone on its line does not."""
 
 
 @dataclass(frozen=True)
@@ -22,13 +26,8 @@ class Obj:
     """(f, 3) each: indices of vertices, in the order of the file; groups without triangles are left out."""
 
 
-def read_obj(text: str, starts: Set[str] = STARTS) -> Obj:
+def read_obj(text: str) -> Obj:
     """Read an OBJ file; faces of more than three corners become fans of triangles.
-
-    Parameters
-    ----------
-    starts
-        Which words begin another group.
 
     Raises
     ------
@@ -43,7 +42,7 @@ def read_obj(text: str, starts: Set[str] = STARTS) -> Obj:
             vertices.append([float(value) for value in values[:3]])
         elif word == "f":
             groups[-1] += _fan([_index(value, len(vertices)) for value in values])
-        elif word in starts:
+        elif START.match(line):
             groups.append([])
     return Obj(np.array(vertices).reshape(-1, 3), tuple(np.array(group) for group in groups if group))
 

@@ -64,7 +64,7 @@ def test_an_stl_is_one_part_with_its_scale() -> None:
     assert {tuple(corner) for corner in part.corners} == {(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)}
 
 
-@pytest.mark.parametrize("word", ["o", "g", "usemtl"])
+@pytest.mark.parametrize("word", ["o", "g"])
 def test_an_obj_has_a_part_for_each_group_with_the_corners_of_its_triangles(word) -> None:
     one, two = groups(TWO.format(word))
     np.testing.assert_array_equal(one, TETRAHEDRON)

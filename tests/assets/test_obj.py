@@ -25,8 +25,21 @@ def test_a_face_of_four_corners_is_two_triangles_and_negative_numbers_count_from
     assert read.vertices.shape == (5, 3)
 
 
-def test_only_the_words_that_are_named_begin_a_group() -> None:
-    assert len(read_obj("v 0 0 0\nf 1 1 1\no a\nf 1 1 1\ng b\nf 1 1 1\n", frozenset({"o"})).groups) == 2
+@pytest.mark.parametrize(
+    ("line", "groups"),
+    [
+        ("o b", 2),
+        ("g b", 2),
+        (" \tg\tb", 2),
+        ("o ", 2),
+        ("g", 1),
+        ("usemtl b", 1),
+        ("s 2", 1),
+        ("object b", 1),
+    ],
+)
+def test_objects_and_groups_begin_another_group_and_materials_do_not(line, groups) -> None:
+    assert len(read_obj(f"v 0 0 0\no a\nf 1 1 1\n{line}\nf 1 1 1\n").groups) == groups
 
 
 @pytest.mark.parametrize("text", ["v zero 0 0\n", "v 0 0 0\nf a b c\n"])

@@ -1,7 +1,11 @@
 """Shortcuts change no result: poses are spared the simulator, and closings end early, as if they were not."""
 
+from itertools import product
+
+import msgspec
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 from tests.worker.test_parity import REFERENCES, recorded
 
 from qdgrasp_assets.genes import layout
@@ -47,6 +51,28 @@ def drawn(scene, prior, n, seed):
 def test_a_built_in_hand_has_the_same_rows_without_them(hand, protocol, make_scene):
     scene = make_scene(hand, "mug", protocol)
     differing, outcomes = different(scene, "contact", drawn(scene, "contact", QUICK[hand], seed=4))
+    assert differing == 0
+    assert (outcomes >= Outcome.MISSED).sum() > 10
+
+
+def broad_finger(line):
+    """An OBJ file of the two sides of a broad finger, with a line before each of them."""
+    text, corners = "", np.array(list(product((-0.001, 0.001), (0.0, 0.01), (0.0, 0.054))))
+    for first, x in ((1, -0.06), (9, 0.06)):
+        placed = corners + np.array([x, 0.0, 0.0])
+        text += f"{line} side_{first}\n"
+        text += "".join(f"v {x:g} {y:g} {z:g}\n" for x, y, z in placed)
+        text += "".join(f"f {a} {b} {c}\n" for a, b, c in ConvexHull(placed).simplices + first)
+    return text.encode()
+
+
+@pytest.mark.parametrize("line", ["usemtl", "o"])
+def test_a_hand_whose_mesh_is_of_two_materials_or_objects_has_the_same_rows_without_them(line, make_scene):
+    scene = make_scene("panda", "tennis_ball", "paper")
+    meshes = scene.gripper.meshes | {"1_finger.obj": broad_finger(line)}
+    hand = msgspec.structs.replace(scene.gripper, meshes=meshes)
+    scene = msgspec.structs.replace(scene, gripper=hand)
+    differing, outcomes = different(scene, "contact", drawn(scene, "contact", 200, seed=6))
     assert differing == 0
     assert (outcomes >= Outcome.MISSED).sum() > 10
 
