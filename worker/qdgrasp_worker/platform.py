@@ -27,8 +27,8 @@ from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
 
-SERVING = frozenset({"cli", "desk", "bundles", "platform", "service"})
-"""Modules of this room that bring work and carry results away, without a say in them."""
+SERVING = frozenset({"cli", "desk", "bundles", "platform", "service", "serving"})
+"""Modules and folders of this room that bring work and carry results away, without a say in them."""
 CONTRACTS = (
     qdgrasp_assets.genes,
     qdgrasp_assets.hulls,
@@ -67,7 +67,11 @@ def platform() -> dict[str, str]:
 def code_digest() -> str:
     """sha256 over the sources of everything that takes part in an evaluation."""
     here = Path(__file__).parent
-    sources = [path for path in here.rglob("*.py") if path.stem not in SERVING]
+    sources = [
+        path
+        for path in here.rglob("*.py")
+        if SERVING.isdisjoint(path.relative_to(here).with_suffix("").parts)
+    ]
     contracts = [Path(str(module.__file__)) for module in CONTRACTS]
     digest = hashlib.sha256()
     for path in [*sorted(sources), *contracts]:

@@ -1,0 +1,1 @@
+"""What brings work to the simulator and carries its results away."""
