@@ -37,8 +37,8 @@ from qdgrasp_protocol.messages import (
 )
 from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, Shape, pack, unpack
 from qdgrasp_worker.bundles import Bundles
-from qdgrasp_worker.desk import Desk
 from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.serving.appointment import Appointment
 from qdgrasp_worker.worlds import Worlds
 
 log = structlog.get_logger()
@@ -48,7 +48,6 @@ CREDIT = 2
 SLICE = 16
 """Rows evaluated between two looks at the inbox; evaluation is pure, so slicing changes nothing."""
 STAT_INTERVAL = 1.0  # seconds between two signs of progress
-RETRY_FIRST, RETRY_LAST = 0.05, 2.0  # seconds between tries to join, jittered
 WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 
 
@@ -65,16 +64,6 @@ class Link:
     """A transport of this session came up or went down."""
 
     up: bool
-
-
-@dataclass
-class Appointment:
-    """A job at this worker: its desk, and when to try to join next."""
-
-    desk: Desk
-    join_at: float | None = None
-    patience: float = RETRY_FIRST
-    alive: bool = True
 
 
 class RefusedByJob(Refused):
@@ -137,7 +126,7 @@ class WorkerService:
         """Seconds to wait for the inbox: none while there is work, else until the next try to join."""
         if any(job.desk.next() for job in self._jobs.values()):
             return 0.0
-        due = [job.join_at for job in self._jobs.values() if job.join_at is not None and job.alive]
+        due = [job.join_at for job in self._jobs.values() if job.join_at is not None]
         return max(0.0, min(due) - time.monotonic()) if due else None
 
     def _hear(self, patience: float | None) -> None:
@@ -155,7 +144,7 @@ class WorkerService:
                 self._meet(job_of(key), last_chunk(key), alive)
             case Link(up) if up:
                 for appointment in self._jobs.values():
-                    self._join_soon(appointment)
+                    appointment.join_soon(time.monotonic())
             case Sample():
                 self._read(event)
 
@@ -163,23 +152,13 @@ class WorkerService:
         """Note that a job's coordinator is there, or is gone."""
         if job is None or not (token.isascii() and token.isdigit()):
             return
-        epoch = int(token)
         appointment = self._jobs.get(job) or self._open(job)
-        if alive and appointment.desk.follows(epoch):
-            appointment.alive = True
-            self._join_soon(appointment)
-        elif not alive and epoch == appointment.desk.epoch:
-            appointment.alive = False
-            appointment.desk.is_orphaned = True
+        appointment.meet(int(token), alive, time.monotonic())
 
     def _open(self, job: str) -> Appointment:
-        appointment = self._jobs[job] = Appointment(Desk(job))
+        appointment = self._jobs[job] = Appointment(job)
         self._tokens.enter_context(self._bus.token(Keys(job).worker_token(self.wid)))
         return appointment
-
-    def _join_soon(self, appointment: Appointment) -> None:
-        appointment.patience = RETRY_FIRST
-        appointment.join_at = time.monotonic()
 
     def _read(self, sample: Sample) -> None:
         appointment = self._jobs.get(job_of(sample.key) or "")
@@ -197,7 +176,7 @@ class WorkerService:
     def _join_due(self) -> None:
         now = time.monotonic()
         for appointment in self._jobs.values():
-            if appointment.alive and appointment.join_at is not None and appointment.join_at <= now:
+            if appointment.is_due(now):
                 self._join(appointment)
 
     def _join(self, appointment: Appointment) -> None:
@@ -217,17 +196,15 @@ class WorkerService:
         try:
             answer = codec.decode(self._bus.ask(keys.join, codec.encode(request), timeout=2.0), Joined)
         except (NoReply, MessageError):
-            appointment.join_at = time.monotonic() + appointment.patience * random.uniform(0.5, 1.5)  # noqa: S311
-            appointment.patience = min(2 * appointment.patience, RETRY_LAST)
+            appointment.unanswered(time.monotonic(), random.uniform(0.5, 1.5))  # noqa: S311 - jitter, no secret
             return
         except Refused as refusal:
-            appointment.join_at = None
+            appointment.refused()
             log.error("a job does not take this worker", job=desk.job, reason=str(refusal))
             if self._only:
                 raise RefusedByJob(f"Job '{desk.job}' does not take this worker: {refusal}") from None
             return
-        appointment.join_at = None
-        if desk.joined(answer):
+        if appointment.answered(answer):
             log.info("joined", job=desk.job, epoch=desk.epoch, worker=self.wid[:8])
 
     def _serve(self, appointment: Appointment) -> None:
@@ -241,7 +218,7 @@ class WorkerService:
         except BusError as error:
             log.warning("handed a batch back", job=desk.job, reason=str(error))
             desk.release(work.batch)
-            self._join_soon(appointment)
+            appointment.join_soon(time.monotonic())
             return
         if result is None or work.batch not in desk.held:
             return
