@@ -5,7 +5,7 @@ runs over both. Callbacks come from threads of the bus: they put what they got o
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import Enum
@@ -55,6 +55,8 @@ QueryHandler = Callable[[Query], bytes]
 Raising `Refused` becomes an error reply that carries the reason, `NoReply` leaves the asker without an
 answer; anything else is a fault of ours: it is logged, and the asker is refused with the error's name.
 """
+ValuesHandler = Callable[[Query], Mapping[str, bytes]]
+"""Answers a query that may be a pattern, with values by their concrete keys; raises as a `QueryHandler`."""
 TokenHandler = Callable[[str, bool], None]
 """Told a key and whether its token is alive (True) or gone (False)."""
 
@@ -120,6 +122,17 @@ class Bus(ABC):
         NoReply
             Nobody answers there, or not within `timeout` seconds.
         """
+
+    @abstractmethod
+    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries on `pattern`, which may be patterns too, with any number of values, each by its key.
+
+        Values whose keys do not match what was asked are left out.
+        """
+
+    @abstractmethod
+    def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
+        """Query whatever matches `pattern`; gives all values that came within `timeout` seconds, by key."""
 
     @abstractmethod
     def token(self, key: str) -> AbstractContextManager[None]:

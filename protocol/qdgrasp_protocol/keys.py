@@ -43,13 +43,18 @@ class Keys:
         return f"{self.root}/@result/{wid}"
 
     def ctl(self, wid: str) -> str:
-        """Coordinator to worker: batches to drop."""
+        """Coordinator to worker: batches to drop, or that it is to leave."""
         return f"{self.root}/@ctl/{wid}"
 
     @property
     def join(self) -> str:
         """Worker to coordinator, query: join, rejoin."""
         return f"{self.root}/rpc/join"
+
+    @property
+    def control(self) -> str:
+        """Whoever administers a job to its coordinator, query: pause, continue, cancel, drain."""
+        return f"{self.root}/rpc/control"
 
     def asset(self, digest: str = "*") -> str:
         """Worker to coordinator, query per chunk: a scene bundle by its digest."""
@@ -86,9 +91,17 @@ class Keys:
         """Liveliness of a recorder."""
         return f"{self.root}/live/recorder/{rid}"
 
-    def stat(self, what: str) -> str:
-        """To monitors: `job`, `run/<run>` or `worker/<wid>`, JSON, about once a second."""
+    def stat(self, what: str = "**") -> str:
+        """To monitors: `job`, `run/<run>` or `worker/<wid>`, JSON, about once a second.
+
+        The coordinator answers queries on it, also with patterns, with how it is now.
+        """
         return f"{self.root}/stat/{what}"
+
+    @property
+    def meta(self) -> str:
+        """To monitors: what a job is, JSON, when a coordinator begins; it answers queries on it too."""
+        return f"{self.root}/meta"
 
 
 class AnyJob(Keys):
@@ -117,6 +130,11 @@ def matches(pattern: str, key: str) -> bool:
     return _matches(pattern.split("/"), key.split("/"))
 
 
+def meet(one: str, other: str) -> bool:
+    """Whether there is a key that both patterns match."""
+    return _meet(one.split("/"), other.split("/"))
+
+
 def _matches(pattern: list[str], key: list[str]) -> bool:
     if not pattern:
         return not key
@@ -128,3 +146,14 @@ def _matches(pattern: list[str], key: list[str]) -> bool:
     if not key or not (head == key[0] or (head == "*" and not key[0].startswith("@"))):
         return False
     return _matches(rest, key[1:])
+
+
+def _meet(one: list[str], other: list[str]) -> bool:
+    if not one or not other:
+        return all(chunk == "**" for chunk in one or other)
+    for first, second in ((one, other), (other, one)):
+        if first[0] == "**":
+            is_passed = not second[0].startswith("@") and _meet(first, second[1:])
+            return is_passed or _meet(first[1:], second)
+    is_any = "*" in (one[0], other[0]) and not (one[0] + other[0]).strip("*").startswith("@")
+    return (one[0] == other[0] or is_any) and _meet(one[1:], other[1:])

@@ -6,8 +6,8 @@ so that its time-out holds.
 """
 
 import threading
-from collections.abc import Callable
-from concurrent.futures import Future
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
 from typing import TypeVar
 
@@ -22,10 +22,11 @@ from qdgrasp_protocol.bus import (
     Sample,
     SampleHandler,
     TokenHandler,
+    ValuesHandler,
     reason_of,
 )
 from qdgrasp_protocol.errors import BusError, NoReply, Refused
-from qdgrasp_protocol.keys import matches
+from qdgrasp_protocol.keys import matches, meet
 
 log = structlog.get_logger()
 
@@ -54,15 +55,15 @@ class Subscriber(Entry):
 
 
 class Answerer(Entry):
-    """A session answers queries, one after the other."""
+    """A session answers queries, one after the other, with values by their keys."""
 
-    def __init__(self, session: "LocalBus", pattern: str, handler: QueryHandler) -> None:
+    def __init__(self, session: "LocalBus", pattern: str, handler: ValuesHandler) -> None:
         super().__init__(session, pattern)
         self._handler = handler
         self._turn = threading.Lock()
 
-    def reply(self, query: Query, answer: "Future[bytes]") -> None:
-        """Put the handler's answer, or why there is none, into `answer`."""
+    def reply(self, query: Query, answer: "Future[Mapping[str, bytes]]") -> None:
+        """Put the handler's values, or why there are none, into `answer`."""
         with self._turn:
             try:
                 answer.set_result(self._handler(query))
@@ -162,6 +163,10 @@ class LocalBus(Bus):
 
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries, one at a time."""
+        return self.show(pattern, lambda query: {query.key: handler(query)})
+
+    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries with values."""
         return self._declare(Answerer(self, pattern, handler))
 
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
@@ -170,13 +175,22 @@ class LocalBus(Bus):
         answerers = [a for a in self._network.visible(Answerer, self) if matches(a.pattern, key)]
         if not answerers:
             raise NoReply(f"Nobody answers {key}.")
-        answer: Future[bytes] = Future()
-        arguments = (Query(key, parameters, bytes(payload)), answer)
-        threading.Thread(target=answerers[0].reply, args=arguments, daemon=True).start()
         try:
-            return answer.result(timeout)
+            values = _asked(answerers[0], Query(key, parameters, bytes(payload))).result(timeout)
         except TimeoutError:
             raise NoReply(f"Nobody answered {key} within {timeout:g} s.") from None
+        if key not in values:
+            raise NoReply(f"Nobody has a value of {key}.")
+        return values[key]
+
+    def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
+        """Query all there are."""
+        self._check_open()
+        answerers = [a for a in self._network.visible(Answerer, self) if meet(a.pattern, pattern)]
+        answers = [_asked(answerer, Query(pattern, "", b"")) for answerer in answerers]
+        answered, _ = wait(answers, timeout)
+        found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
+        return {key: value for values in found for key, value in values.items() if matches(pattern, key)}
 
     def token(self, key: str) -> AbstractContextManager[None]:
         """Be alive."""
@@ -211,6 +225,13 @@ class LocalBus(Bus):
     def _check_open(self) -> None:
         if not self._is_open:
             raise BusError("The session is closed.")
+
+
+def _asked(answerer: Answerer, query: Query) -> "Future[Mapping[str, bytes]]":
+    """The answer to come, from a thread of its own."""
+    answer: Future[Mapping[str, bytes]] = Future()
+    threading.Thread(target=answerer.reply, args=(query, answer), daemon=True).start()
+    return answer
 
 
 def _call(handler: Callable[..., None], *arguments: object) -> None:

@@ -4,7 +4,7 @@ Field names are the wire's names. Arrays travel as one little-endian blob each (
 carry rows hold them in `columns`, by the names of `rows.COLUMNS`.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -106,10 +106,29 @@ class Joined(Message, frozen=True, kw_only=True):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """Coordinator to worker: drop batches that another worker has settled."""
+    """Coordinator to worker: drop batches that another worker has settled, or leave the job."""
 
     epoch: Count
     drop: list[BatchId] = []
+    drain: bool = False
+    """Finish the batches that are held, and leave: nothing more is leased to this worker."""
+
+
+class Order(Message, frozen=True, kw_only=True):
+    """Whoever administers a job to its coordinator, query: what to do with it."""
+
+    act: Literal["pause", "continue", "cancel", "drain"]
+    worker: Annotated[str, Meta(pattern=r"\A[0-9a-f]{0,32}\Z")] = ""
+    """Whom to drain: a worker's id, or how it begins; empty: by `host`."""
+    host: Text = ""
+    """Whose workers to drain."""
+
+
+class Done(Message, frozen=True, kw_only=True):
+    """The answer to an order."""
+
+    words: Text
+    """What happened, in a sentence for a person."""
 
 
 class Chunk(Message, frozen=True, kw_only=True):

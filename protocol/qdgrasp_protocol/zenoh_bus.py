@@ -20,9 +20,11 @@ from qdgrasp_protocol.bus import (
     Sample,
     SampleHandler,
     TokenHandler,
+    ValuesHandler,
     reason_of,
 )
 from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
+from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
 
 log = structlog.get_logger()
@@ -211,6 +213,23 @@ class ZenohBus(Bus):
                 raise Refused(_printable(reply.err.payload.to_bytes()))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
+    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries with values."""
+
+        def asked(query: zenoh.Query) -> None:
+            with query:
+                _show(query, handler)
+
+        return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
+
+    def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
+        """Query all there are."""
+        replies = self._try(
+            lambda: self._session.get(pattern, timeout=timeout, consolidation=zenoh.ConsolidationMode.NONE)
+        )
+        found = [reply.ok for reply in replies if reply.ok is not None]
+        return {str(sample.key_expr): sample.payload.to_bytes() for sample in found}
+
     def token(self, key: str) -> AbstractContextManager[None]:
         """Be alive; the session declares it again whenever it is connected again."""
         return self._hold(Declaration(), lambda: self._session.liveliness().declare_token(key))
@@ -279,16 +298,23 @@ class ZenohBus(Bus):
 
 def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
     """Answer one query, by the handler's answer or by why there is none."""
+    _show(query, lambda asked: {asked.key: handler(asked)})
+
+
+def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
+    """Answer one query with the values that match it, or by why there are none."""
     key = str(query.key_expr)
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:
-        answer = handler(Query(key, str(query.parameters), payload))
+        values = handler(Query(key, str(query.parameters), payload))
     except Exception as error:  # noqa: BLE001 - whatever it is, the asker is told and the log too
         reason = reason_of(error, key)
         if reason is not None:
             query.reply_err(reason.encode(), encoding=REFUSAL)
-    else:
-        query.reply(query.key_expr, answer)
+        return
+    for concrete, value in values.items():
+        if matches(key, concrete):
+            query.reply(concrete, value)
 
 
 def _printable(reason: bytes) -> str:

@@ -80,6 +80,10 @@ def connected(near: Bus, far: Bus) -> None:
         assert ear.next() == ("test/here", True)
 
 
+def _other_values(query: Query) -> dict[str, bytes]:
+    return {"test/b/stat/job": b"4"}
+
+
 class TestBus:
     def test_a_message_arrives_byte_for_byte_with_its_key_and_encoding(self, near: Bus, far: Bus) -> None:
         ear, payload = Ear(), bytes(range(256)) * 5000
@@ -185,6 +189,17 @@ class TestBus:
         connected(near, far)
         with pytest.raises(NoReply):
             near.ask("test/q", timeout=SOON)
+
+    def test_values_are_found_by_their_keys_and_by_patterns(self, near: Bus, far: Bus) -> None:
+        values = {"test/a/stat/job": b"1", "test/a/stat/run/x": b"2", "test/a/stat/run/y": b"3"}
+        with far.show("test/a/stat/**", lambda _: values), far.show("test/b/stat/**", _other_values):
+            connected(near, far)
+            assert near.ask("test/a/stat/job") == b"1"
+            assert near.ask_all("test/a/stat/run/*") == {key: values[key] for key in list(values)[1:]}
+            assert near.ask_all("test/*/stat/job") == {"test/a/stat/job": b"1", "test/b/stat/job": b"4"}
+            assert near.ask_all("test/*/nothing") == {}
+            with pytest.raises(NoReply):
+                near.ask("test/a/stat/nothing", timeout=SOON)
 
     def test_an_answer_that_comes_too_late_is_no_reply(self, near: Bus, far: Bus) -> None:
         asked_enough = threading.Event()

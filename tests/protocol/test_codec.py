@@ -32,6 +32,8 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return st.from_regex(pattern.replace(r"\A", "^").replace(r"\Z", "$"), fullmatch=True)
         case msgspec.inspect.StrType():
             return st.text(max_size=300).map(short)
+        case msgspec.inspect.LiteralType():
+            return st.sampled_from(kind.values)
         case msgspec.inspect.BytesType():
             return st.binary(min_size=kind.min_length or 0, max_size=kind.max_length or 100)
         case msgspec.inspect.BoolType():

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.keys import NAME, AnyJob, Keys, job_name, job_of, last_chunk, matches
+from qdgrasp_protocol.keys import NAME, AnyJob, Keys, job_name, job_of, last_chunk, matches, meet
 
 WID = "0123456789abcdef" * 2
 
@@ -15,6 +15,7 @@ def built(keys: Keys) -> list[str]:
         keys.result(WID),
         keys.ctl(WID),
         keys.join,
+        keys.control,
         keys.asset("a" * 64),
         keys.outcome(3),
         keys.recorded,
@@ -24,6 +25,7 @@ def built(keys: Keys) -> list[str]:
         keys.worker_token(WID),
         keys.recorder_token("r"),
         keys.stat("run/run"),
+        keys.meta,
     ]
 
 
@@ -66,4 +68,33 @@ def test_patterns_hear_what_they_are_made_for() -> None:
 def test_a_subscriber_to_everything_hears_none_of_the_bulk() -> None:
     heard = [key for key in built(Keys("mugs")) if matches("qdgrasp/**", key)]
     assert heard == [key for key in built(Keys("mugs")) if "/@" not in key]
-    assert len(heard) == 7
+    assert len(heard) == 9
+
+
+CHUNK = st.sampled_from(["a", "b", "@c", "*", "**"])
+
+
+@given(
+    st.lists(CHUNK, max_size=4), st.lists(CHUNK, max_size=4), st.lists(st.sampled_from("ab@c"), max_size=5)
+)
+def test_patterns_that_match_one_key_meet(one: list[str], other: list[str], chunks: list[str]) -> None:
+    patterns, key = ("/".join(one), "/".join(other)), "/".join(chunks)
+    if all(matches(pattern, key) for pattern in patterns):
+        assert meet(*patterns)
+    assert meet(*patterns) == meet(*reversed(patterns))
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "do"),
+    [
+        ("q/v1/*/stat/job", "q/v1/mugs/stat/**", True),
+        ("q/v1/*/stat/*", "q/v1/mugs/stat/**", True),
+        ("q/v1/*/stat/job", "q/v1/mugs/stat/run/*", False),
+        ("q/*", "q/@work", False),
+        ("q/**", "q/@work/w", False),
+        ("**/b", "a/**", True),
+        ("a", "a/b", False),
+    ],
+)
+def test_patterns_meet_where_a_key_may_match_both(one: str, other: str, do: bool) -> None:
+    assert meet(one, other) is do
