@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_coordinator.whole import taken
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Result, Work, short
@@ -117,8 +118,9 @@ class Settled:
 
 def complete(rows: Rows, batch: Batch, failed: Collection[int]) -> Rows:
     """Fill the keys and genomes of a batch in rows that hold its results; those that failed hold zeros."""
-    rows = rows.copy()
-    rows[list(failed)] = np.zeros((), dtype=rows.dtype)
+    rows = taken(rows, np.s_[:])
+    if failed:
+        rows[list(failed)] = np.zeros((), dtype=rows.dtype)
     rows["generation"] = batch.generation
     rows["index"] = batch.indices
     rows["trial"] = batch.trials

@@ -232,6 +232,8 @@ class Dispatch:
         failed = {failure.row: failure.reason for failure in result.failures}
         self.counters["failures"] += len(failed)
         done = complete(rows, batch, failed)
+        if not failed:
+            return Settled(Settlement.FRESH, done, result.cpu_seconds)
         if batch.failed + 1 < STRIKES:
             for place in sorted(failed):
                 self._backlog.put_back_row(batch, place)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_coordinator.whole import taken, whole
 from qdgrasp_protocol.errors import ReplayError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.outcome import Outcome
@@ -64,7 +65,7 @@ class Slot:
     @property
     def told(self) -> Rows:
         """Its nominal rows by index as the search hears them: fitness is the sum over a success's trials."""
-        rows = self._rows[:, 0].copy()
+        rows = taken(self._rows, np.s_[:, 0])
         if self._trials:
             found = self._found
             rows["fitness"][found] = self._rows["fitness"][found, 1:].sum(axis=1)
@@ -90,6 +91,9 @@ class Slot:
             indices = np.flatnonzero(~self._here[: self._nominal, 0])
             if len(indices):
                 return self._to_evaluate(indices, np.zeros_like(indices))
+        return self._hand_out_trials() if self._trials else None
+
+    def _hand_out_trials(self) -> Generation | None:
         gapless = _gapless(self._here[self._opened : self._nominal, 0])
         found = self._opened + np.flatnonzero(self._is_success[self._opened :][:gapless])
         self._opened += gapless
@@ -98,17 +102,20 @@ class Slot:
 
     def place(self, rows: Rows) -> None:
         """Put rows in their places; those that are here already, or were not asked, are ignored."""
-        asked = rows[self._is_asked(rows)]
-        indices, trials = asked["index"].astype(np.int64), asked["trial"].astype(np.int64)
-        _, first = np.unique(indices * (1 + self._trials) + trials, return_index=True)
-        new = first[~self._here[indices[first], trials[first]]]
-        self._put(asked[new], indices[new], trials[new])
+        indices, trials = rows["index"].astype(np.int64), rows["trial"].astype(np.int64)
+        is_new = self._is_asked(indices, trials)
+        is_new[is_new] = ~self._here[indices[is_new], trials[is_new]]
+        first = np.flatnonzero(is_new)[::-1]  # of equal places the last one written stays
+        self._put(taken(rows, first), indices[first], trials[first])
 
     def arrived(self) -> Rows:
         """Rows behind the final ones, up to the first that is missing: nominal ones, or else trials."""
+        if self.missing:
+            n = _gapless(self._here[self.final : self._nominal, 0][:LOOK])
+            return taken(self._rows, np.s_[self.final : self.final + n, 0])
         indices, trials = self._next(LOOK)
         n = _gapless(self._here[indices, trials])
-        return self._rows[indices[:n], trials[:n]]
+        return taken(self._rows, (indices[:n], trials[:n]))
 
     def cut(self) -> None:
         """Hear that nominal rows behind the final ones are not needed: the budget is spent."""
@@ -137,23 +144,23 @@ class Slot:
         """The successes among the nominal rows that the journal is to hold, by index."""
         return np.flatnonzero(self._is_success[: self._nominal])
 
-    def _is_asked(self, rows: Rows) -> NDArray[np.bool_]:
-        """Which rows are of this slot: nominal ones, and trials of successes once they were handed out."""
-        is_known = (rows["index"] < len(self._here)) & (rows["trial"] <= self._trials)
-        indices = np.where(is_known, rows["index"], 0)
-        is_open = (indices < self._opened) & self._is_success[indices]
-        asked: NDArray[np.bool_] = is_known & ((rows["trial"] == 0) | is_open)
-        return asked
+    def _is_asked(self, indices: Places, trials: Places) -> NDArray[np.bool_]:
+        """Which places are of this slot: nominal ones, and trials of successes once they were handed out."""
+        is_known: NDArray[np.bool_] = (indices < len(self._here)) & (trials <= self._trials)
+        if not self._trials:
+            return is_known
+        safe = np.where(is_known, indices, 0)
+        return is_known & ((trials == 0) | (safe < self._opened) & self._is_success[safe])
 
     def _to_evaluate(self, indices: Places, trials: Places) -> Generation:
         genomes = self._rows["genome"][indices, 0]
         return Generation(self.number, indices.astype(np.uint32), trials.astype(np.uint16), genomes)
 
     def _put(self, rows: Rows, indices: Places, trials: Places) -> None:
-        self._rows[indices, trials] = rows
+        whole(self._rows)[indices, trials] = whole(rows)
         self._here[indices, trials] = True
-        is_success = (trials == 0) & (rows["outcome"] >= Outcome.DROPPED)
-        self._is_success[indices[is_success]] = True
+        nominal = indices[trials == 0]
+        self._is_success[nominal] = self._rows["outcome"][nominal, 0] >= Outcome.DROPPED
 
     def _next(self, most: int) -> tuple[Places, Places]:
         """Indices and trials of the rows behind the final ones, in journal order: nominal, or else trials."""

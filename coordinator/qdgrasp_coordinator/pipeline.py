@@ -15,6 +15,7 @@ from qdgrasp_coordinator.generation import Generation, Slot
 from qdgrasp_coordinator.search import Search
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_coordinator.tally import Tally, counted
+from qdgrasp_coordinator.whole import joined, taken
 from qdgrasp_protocol.errors import ReplayError
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.outcome import Outcome
@@ -99,8 +100,7 @@ class Pipeline:
         self._cpu_seconds += cpu_seconds
         self._reasons |= _by_key(rows, failures)
         if self.finished is None:
-            for slot in self._open:
-                slot.place(rows[rows["generation"] == slot.number])
+            self._place(rows)
         return self._advance()
 
     def replay(self, rows: Rows) -> None:
@@ -119,13 +119,23 @@ class Pipeline:
             self._advance()
             rows = rows[self.tally.rows - before :]
 
+    def _place(self, rows: Rows) -> None:
+        """Put each row where its generation waits for it."""
+        generations = rows["generation"]
+        for slot in self._open:
+            is_its = generations == slot.number
+            if is_its.all():
+                slot.place(rows)
+            elif is_its.any():
+                slot.place(taken(rows, is_its))
+
     def _advance(self) -> Stretch:
         """Make final what follows without a gap; tell and ask where a generation is complete."""
         first = self.tally.rows
         pieces = list(self._finals())
         if not pieces:
             return Stretch(first, self._shape.empty(0))
-        rows = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        rows = joined(pieces)
         cpu_seconds, self._cpu_seconds = self._cpu_seconds, 0.0
         return Stretch(first, rows, cpu_seconds, self._failures(rows))
 

@@ -72,21 +72,21 @@ class Tally:
 
     def count(self, rows: Rows) -> None:
         """Count the next rows."""
-        nominal = rows[rows["trial"] == 0]
+        if not len(rows):
+            return
+        outcomes, is_nominal = rows["outcome"], rows["trial"] == 0
+        nominal = np.flatnonzero(is_nominal)
         self.rows += len(rows)
         self.trials += len(rows) - len(nominal)
-        self.errors += int(np.count_nonzero(rows["outcome"] == Outcome.ERROR))
+        self.errors += int(np.count_nonzero(outcomes == Outcome.ERROR))
         self.evaluations += int(np.count_nonzero(counted(rows, self._overlaps)))
-        self.proposals += int(nominal["proposals"].sum(dtype=np.int64))
-        self._note_end(rows, nominal)
-        self._outcomes += np.bincount(nominal["outcome"], minlength=len(Outcome))
-        self._cells.update(keys(cells(successes(rows)["descriptor"][:, :3])).tolist())
-
-    def _note_end(self, rows: Rows, nominal: Rows) -> None:
+        self.proposals += int(rows["proposals"][nominal].sum(dtype=np.int64))
+        self._outcomes += np.bincount(outcomes[nominal], minlength=len(Outcome))
+        found = np.flatnonzero(is_nominal & (outcomes >= Outcome.DROPPED))
+        self._cells.update(keys(cells(rows["descriptor"][found, :3])).tolist())
+        self._trials_follow = not is_nominal[-1]
         if len(nominal):
-            self._last = nominal[-1]
-        if len(rows):
-            self._trials_follow = bool(rows["trial"][-1] > 0)
+            self._last = rows[nominal[-1]]
 
     def end_generation(self) -> None:
         """Hear that the rows counted so far end a generation."""
