@@ -1,18 +1,25 @@
-"""The cover: balls that the surface of an object is within, small ones gathered in large ones."""
+"""The cover: balls that the surface of an object is within, small ones gathered in large ones.
+
+Of an object with more surface than hands grasp the balls are larger, so that they stay as many.
+"""
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.rotation import Floats
+from qdgrasp_worker.skin import areas
 from qdgrasp_worker.solid import Solid
 
 TILE = 1.5e-3
 """How far a tile of the surface reaches from its middle at most [m]."""
 SMALL, LARGE = 3e-3, 15e-3
 """The sides of the cells in which tiles, and then small balls, are gathered [m]."""
+SURFACE = 0.6
+"""The surface that is covered so finely at most, that of a cube of 32 cm [m2]."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +45,25 @@ class Cover:
     @classmethod
     def of(cls, solid: Solid) -> Self:
         """The cover of the surfaces of an object's convex parts, CoM frame."""
-        small, _, _ = gathered(tiles(np.concatenate([hull.triangles for hull in solid.hulls])), SMALL)
-        large, order, counts = gathered(small, LARGE)
+        triangles, coarse = np.concatenate([hull.triangles for hull in solid.hulls]), coarseness(solid)
+        small, _, _ = gathered(tiles(triangles, coarse * TILE), coarse * SMALL)
+        large, order, counts = gathered(small, coarse * LARGE)
         return cls(large, Balls(small.centres[order], small.radii[order]), counts)
 
 
-def tiles(triangles: Floats) -> Balls:
-    """Balls about the small triangles that triangles (t, 3, 3) are cut into."""
+def coarseness(solid: Solid) -> float:
+    """How many times larger tiles and cells are than for a small object: 1 up to `SURFACE`."""
+    surface = sum(float(areas(hull).sum()) for hull in solid.hulls)
+    return max(1.0, sqrt(surface / SURFACE))
+
+
+def tiles(triangles: Floats, reach: float) -> Balls:
+    """Balls of `reach` [m] at most about the small triangles that triangles (t, 3, 3) are cut into."""
     middles, reaches = [], []
     while len(triangles):
         centres = triangles.mean(axis=1)
         far = np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
-        is_small = far <= TILE
+        is_small = far <= reach
         middles.append(centres[is_small])
         reaches.append(far[is_small])
         triangles = halved(triangles[~is_small])

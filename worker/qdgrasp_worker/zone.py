@@ -16,8 +16,8 @@ from qdgrasp_worker.convex import Hull
 from qdgrasp_worker.voxels import Singles, Voxels
 
 PITCH = 3e-3
-"""The side of a voxel [m]."""
-DIAGONAL = sqrt(3.0) * PITCH
+"""The side of a voxel [m]; larger for a hand that passes through more than `MOST` voxels."""
+MOST = 1 << 22
 AROUND = 0.03
 """How far about the shapes distances are known [m]."""
 UNIT = 2e-4
@@ -43,11 +43,14 @@ class Zone:
         paths = [(blunt(hull), course, path(hull, course)) for hull, course in courses]
         low = np.min([corners.min(axis=(0, 1)) for *_, corners in paths], axis=0)
         high = np.max([corners.max(axis=(0, 1)) for *_, corners in paths], axis=0)
-        voxels = Voxels(low - AROUND, high + AROUND, PITCH)
+        low, high = low - AROUND, high + AROUND
+        pitch = max(PITCH, float(np.prod(high - low) / MOST) ** (1 / 3))
+        diagonal = sqrt(3.0) * pitch
+        voxels = Voxels(low, high, pitch)
         for hull, course, corners in paths:
             for look, moved in looks(corners):
-                voxels.mark(hull.moved(course[look]).grown(moved + stout(hull) + DIAGONAL / 2), 1)
-        away = distance_transform_edt(voxels.levels == 0) * PITCH - DIAGONAL
+                voxels.mark(hull.moved(course[look]).grown(moved + stout(hull) + diagonal / 2), 1)
+        away = distance_transform_edt(voxels.levels == 0) * pitch - diagonal
         voxels.levels = np.clip(away / UNIT, 0, 255).astype(np.uint8)
         return cls(voxels)
 
