@@ -12,7 +12,7 @@ class Outcome(IntEnum):
     ERROR = 0
     """The simulator failed on this row three times; the journal holds the reason."""
     DEAD_END = 1
-    """Decoding found no pose to simulate."""
+    """Nothing to simulate: decoding found no pose, or none of several that is free and promises enough."""
     OVERLAP = 2
     """The open hand overlaps the object at the commanded pose."""
     MISSED = 3

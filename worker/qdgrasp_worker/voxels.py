@@ -10,7 +10,7 @@ Singles = NDArray[np.float32]
 Kind = np.uint8 | np.uint16
 
 RIM = 1
-"""Cubes around the box that stay empty: whatever is outside is looked up in them."""
+"""Cubes around the box that nothing is marked in: whatever is outside is looked up in them."""
 LEVEL = 1e-9
 """The z of a normal below which a plane is taken for upright."""
 
@@ -53,7 +53,7 @@ class Voxels:
         np.maximum(region, inside * self.levels.dtype.type(level), out=region)
 
     def at(self, x: Singles, y: Singles, z: Singles) -> NDArray[Kind]:
-        """The levels at points (...) [m]; 0 outside the box."""
+        """The levels at points (...) [m]; outside the box that of the rim, 0 unless it was set to more."""
         flat = np.zeros(x.shape, dtype=np.int32)
         for axis, values in enumerate((x, y, z)):
             place = (values - self._origin[axis]) * np.float32(1.0 / self.pitch)
