@@ -14,8 +14,9 @@ It errs on one side only:
   nearer by a diagonal than the middle of its voxel is. Shapes of many planes are replaced by larger ones.
 - A hand that is wholly within the object, away from its surface, overlaps; Bullet's test of the open hand
   comes first. Where that test has the free joints elsewhere, they are looked at there too.
-- A finger on a free joint closes nearly alike wherever that joint stands, so that its zone goes with the frame
-  that the joint carries. `STRAY` is for the rest: how the fingers pull at each other depends on their places.
+- A finger on a free joint closes nearly alike wherever that joint stands, so that its zone goes with the
+  frame that the joint carries. `STRAY` is for the rest: how fingers pull at each other depends on
+  their places.
 - Where a shape or a free joint is not understood, every pose is simulated.
 """
 
