@@ -108,6 +108,14 @@ class Slot:
         first = np.flatnonzero(is_new)[::-1]  # of equal places the last one written stays
         self._put(taken(rows, first), indices[first], trials[first])
 
+    @property
+    def has_arrived(self) -> bool:
+        """Whether the row behind the final ones is here."""
+        if self.missing:
+            return bool(self._here[self.final, 0])
+        indices, trials = self._next(1)
+        return bool(self._here[indices, trials].any())
+
     def arrived(self) -> Rows:
         """Rows behind the final ones, up to the first that is missing: nominal ones, or else trials."""
         if self.missing:
@@ -150,7 +158,8 @@ class Slot:
         if not self._trials:
             return is_known
         safe = np.where(is_known, indices, 0)
-        return is_known & ((trials == 0) | (safe < self._opened) & self._is_success[safe])
+        asked: NDArray[np.bool_] = (trials == 0) | (safe < self._opened) & self._is_success[safe]
+        return is_known & asked
 
     def _to_evaluate(self, indices: Places, trials: Places) -> Generation:
         genomes = self._rows["genome"][indices, 0]

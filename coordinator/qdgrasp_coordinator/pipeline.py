@@ -131,13 +131,14 @@ class Pipeline:
 
     def _advance(self) -> Stretch:
         """Make final what follows without a gap; tell and ask where a generation is complete."""
-        first = self.tally.rows
+        first, errors = self.tally.rows, self.tally.errors
         pieces = list(self._finals())
         if not pieces:
             return Stretch(first, self._shape.empty(0))
         rows = joined(pieces)
         cpu_seconds, self._cpu_seconds = self._cpu_seconds, 0.0
-        return Stretch(first, rows, cpu_seconds, self._failures(rows))
+        failures = self._failures(rows) if self.tally.errors > errors else ()
+        return Stretch(first, rows, cpu_seconds, failures)
 
     def _finals(self) -> Iterator[Rows]:
         while self.finished is None and (rows := self._next_finals()) is not None:
@@ -146,9 +147,9 @@ class Pipeline:
     def _next_finals(self) -> Rows | None:
         """The rows of the oldest generation that have become final; None when it has to wait."""
         slot = self._open[0]
-        rows = self._within_budget(slot.arrived())
-        if not len(rows):
+        if not slot.has_arrived:
             return None
+        rows = self._within_budget(slot.arrived())
         slot.final += len(rows)
         self.tally.count(rows)
         if self.tally.left <= 0:
@@ -160,9 +161,11 @@ class Pipeline:
 
     def _within_budget(self, rows: Rows) -> Rows:
         """Rows up to the one that reaches the budget; where it is spent, all of them: they are trials."""
-        reached = np.flatnonzero(counted(rows, self._overlaps))
         left = self.tally.left
-        return rows if left <= 0 or len(reached) < left else rows[: reached[left - 1] + 1]
+        if left <= 0 or len(rows) < left:
+            return rows
+        reached = np.flatnonzero(counted(rows, self._overlaps))
+        return rows if len(reached) < left else rows[: reached[left - 1] + 1]
 
     def _close(self, slot: Slot) -> None:
         """Tell a complete generation, and ask the one that waited for it, unless the run is over."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.cells import cells, keys
+from qdgrasp_coordinator.whole import taken
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
@@ -74,19 +75,22 @@ class Tally:
         """Count the next rows."""
         if not len(rows):
             return
-        outcomes, is_nominal = rows["outcome"], rows["trial"] == 0
-        nominal = np.flatnonzero(is_nominal)
         self.rows += len(rows)
-        self.trials += len(rows) - len(nominal)
-        self.errors += int(np.count_nonzero(outcomes == Outcome.ERROR))
-        self.evaluations += int(np.count_nonzero(counted(rows, self._overlaps)))
-        self.proposals += int(rows["proposals"][nominal].sum(dtype=np.int64))
-        self._outcomes += np.bincount(outcomes[nominal], minlength=len(Outcome))
-        found = np.flatnonzero(is_nominal & (outcomes >= Outcome.DROPPED))
-        self._cells.update(keys(cells(rows["descriptor"][found, :3])).tolist())
+        self.errors += int(np.count_nonzero(rows["outcome"] == Outcome.ERROR))
+        is_nominal = rows["trial"] == 0
         self._trials_follow = not is_nominal[-1]
-        if len(nominal):
-            self._last = rows[nominal[-1]]
+        self._count_nominal(rows if is_nominal.all() else taken(rows, is_nominal))
+        self.trials = self.rows - int(self._outcomes.sum())
+
+    def _count_nominal(self, rows: Rows) -> None:
+        outcomes = np.bincount(rows["outcome"], minlength=len(Outcome))
+        self._outcomes += outcomes
+        self.evaluations += int(len(rows) if self._overlaps == "count" else outcomes[Outcome.MISSED :].sum())
+        self.proposals += int(rows["proposals"].sum(dtype=np.int64))
+        found = rows["outcome"] >= Outcome.DROPPED
+        self._cells.update(keys(cells(rows["descriptor"][found, :3])).tolist())
+        if len(rows):
+            self._last = rows[-1]
 
     def end_generation(self) -> None:
         """Hear that the rows counted so far end a generation."""
