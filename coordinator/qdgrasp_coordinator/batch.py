@@ -12,7 +12,10 @@ from qdgrasp_coordinator.whole import taken
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Result, Work, short
+from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import RESULT, Rows, Shape, unpack
+
+BEST = int(max(Outcome))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +133,18 @@ def complete(rows: Rows, batch: Batch, failed: Collection[int]) -> Rows:
 
 def readable(result: Result, shape: Shape) -> tuple[Result, Rows]:
     """A result and its rows; where these cannot be read, all of them failed, for that reason."""
-    rows = shape.empty(result.n)
     if len(result.failures) == result.n:
-        return result, rows
+        return result, shape.empty(result.n)
     try:
-        return result, unpack(rows, RESULT, result.columns, shape)
+        return result, _read(result, shape)
     except MessageError as error:
         failures = [Failure(row=row, reason=short(str(error))) for row in range(result.n)]
-        return msgspec.structs.replace(result, failures=failures), rows
+        return msgspec.structs.replace(result, failures=failures), shape.empty(result.n)
+
+
+def _read(result: Result, shape: Shape) -> Rows:
+    rows = unpack(shape.empty(result.n), RESULT, result.columns, shape)
+    greatest = int(rows["outcome"].max())
+    if greatest > BEST:
+        raise MessageError(f"column 'outcome' holds {greatest}, and outcomes end with {BEST}")
+    return rows

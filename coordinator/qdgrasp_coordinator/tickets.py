@@ -18,13 +18,20 @@ class Ticket:
     batch: Batch
     attempts: int = 0
     holder: str | None = None
-    """Who holds it; None: it waits to be leased, or is settled."""
+    """Who holds it; None: it waits to be leased."""
     since: float = 0.0
     """When it was leased last."""
     leased: set[str] = field(default_factory=set)
     """All workers that were ever leased it."""
-    winner: str | None = None
-    """Who settled it."""
+
+
+@dataclass(eq=False)
+class Stub:
+    """What is kept of the ticket of a settled batch."""
+
+    leased: set[str]
+    winner: str | None
+    """Who settled it; None: it was withdrawn."""
 
 
 class Tickets:
@@ -33,7 +40,7 @@ class Tickets:
     def __init__(self, epoch: int) -> None:
         self._epoch = epoch
         self._open: dict[bytes, Ticket] = {}
-        self._settled: OrderedDict[bytes, Ticket] = OrderedDict()
+        self._settled: OrderedDict[bytes, Stub] = OrderedDict()
 
     def open(self, batch: Batch) -> Ticket:
         """The ticket of a batch that is leased, made when that happens first."""
@@ -49,9 +56,8 @@ class Tickets:
 
     def close(self, ticket: Ticket, winner: str | None = None) -> None:
         """Move a batch to the settled ones, without its rows; nobody wins what is withdrawn."""
-        batch = ticket.batch
-        del self._open[batch.id]
-        self._settled[batch.id] = Ticket(batch.part(batch.id, slice(0)), leased=ticket.leased, winner=winner)
+        del self._open[ticket.batch.id]
+        self._settled[ticket.batch.id] = Stub(ticket.leased, winner)
         if len(self._settled) > REMEMBERED:
             self._settled.popitem(last=False)
 
@@ -63,15 +69,16 @@ class Tickets:
         MessageError
             It would be fresh, but does not fit its batch.
         """
-        ticket = self._open.get(result.batch) or self._settled.get(result.batch)
-        if result.epoch != self._epoch or (ticket is not None and wid not in ticket.leased):
+        ticket, stub = self._open.get(result.batch), self._settled.get(result.batch)
+        known = ticket or stub
+        if result.epoch != self._epoch or (known is not None and wid not in known.leased):
             return Settlement.FOREIGN
-        if ticket is None:
-            return Settlement.UNKNOWN
-        if result.batch in self._settled:
-            return Settlement.DUPLICATE if ticket.winner == wid else Settlement.LATE
-        _check(ticket.batch, result)
-        return Settlement.FRESH
+        if ticket is not None:
+            _check(ticket.batch, result)
+            return Settlement.FRESH
+        if stub is not None:
+            return Settlement.DUPLICATE if stub.winner == wid else Settlement.LATE
+        return Settlement.UNKNOWN
 
 
 def _check(batch: Batch, result: Result) -> None:

@@ -4,6 +4,7 @@ Nothing recurses into, or prints, what has not passed both. The default limits o
 megabyte of `0x90` become a million objects.
 """
 
+from functools import cache
 from typing import Any, TypeVar
 
 import msgpack
@@ -32,6 +33,7 @@ LIMITS = {
 }
 
 
+@cache
 def encoding(kind: type[Message]) -> str:
     """The encoding that a message of this kind travels with."""
     return f"application/msgpack;qdgrasp.{kind.__name__.lower()}.v1"
@@ -39,7 +41,7 @@ def encoding(kind: type[Message]) -> str:
 
 def encode(message: Message) -> bytes:
     """A message as MessagePack."""
-    return bytes(msgpack.packb(msgspec.to_builtins(message, builtin_types=(bytes,)), use_bin_type=True))
+    return msgspec.msgpack.encode(message)
 
 
 def decode(payload: bytes, kind: type[M]) -> M:
