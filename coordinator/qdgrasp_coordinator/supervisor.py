@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from qdgrasp_coordinator.crew import Crew, Death
@@ -14,6 +15,7 @@ from qdgrasp_coordinator.figures import JobFigures, from_json
 from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_protocol.bus import Sample
+from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
@@ -23,14 +25,36 @@ LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
 
 
 @dataclass(frozen=True)
+class Door:
+    """Where a job's processes meet, and who else may come in."""
+
+    listen: str | None = None
+    """Endpoint of the embedded router; None: the default port on loopback if it is free, else a free one."""
+    security: Path | None = None
+    """Folder of certificates; None: links are not encrypted."""
+    insecure: bool = False
+    """Listen also where strangers get to."""
+
+    @property
+    def flags(self) -> list[str]:
+        """What the coordinator is started with, besides `proof`."""
+        listen = ["--listen", self.listen] if self.listen else []
+        return [*listen, *(["--insecure"] if self.insecure else [])]
+
+    @property
+    def proof(self) -> list[str]:
+        """What every process is started with."""
+        return ["--security", str(self.security)] if self.security else []
+
+
+@dataclass(frozen=True)
 class Team:
     """How a job is carried out on this machine; no result depends on it."""
 
     workers: int
     batch_size: int | None = None
     """Rows in a batch; None: measured."""
-    listen: str | None = None
-    """Endpoint of the embedded router; None: the default port if it is free, else a free one."""
+    door: Door = Door()
     disk_wait: float = 60.0
     """Seconds that a full disk is waited for."""
 
@@ -75,25 +99,28 @@ class Supervisor:
     def _hire_coordinator(self, crew: Crew) -> None:
         self._folder.forget_endpoint()
         arguments = [str(self._folder.path)]
-        if self._team.listen:
-            arguments += ["--listen", self._team.listen]
+        arguments += [*self._team.door.flags, *self._team.door.proof]
         if self._team.batch_size:
             arguments += ["--batch-size", str(self._team.batch_size)]
         crew.hire("coordinator", "qdgrasp_coordinator.cli.coordinator", arguments)
 
     def _hire_recorder(self, crew: Crew, endpoint: str) -> None:
-        arguments = ["--connect", endpoint, "--job", self._folder.name, "--out", str(self._folder.path)]
+        arguments = [*self._place(endpoint), "--out", str(self._folder.path)]
         arguments += ["--disk-wait", str(self._team.disk_wait)]
         crew.hire("recorder", "qdgrasp_coordinator.cli.recorder", arguments)
 
     def _hire_worker(self, crew: Crew, endpoint: str, number: int) -> None:
-        arguments = ["--connect", endpoint, "--job", self._folder.name]
-        crew.hire(f"worker-{number}", "qdgrasp_worker.cli", arguments)
+        crew.hire(f"worker-{number}", "qdgrasp_worker.cli", self._place(endpoint))
+
+    def _place(self, endpoint: str) -> list[str]:
+        """Where the others find the coordinator, and what they show there."""
+        return ["--connect", endpoint, "--job", self._folder.name, *self._team.door.proof]
 
     def _listen(self, endpoint: str, stack: ExitStack, watch: "Watch") -> AbstractContextManager[None]:
         """Hear what the coordinator publishes."""
         try:
-            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop))
+            credentials = Credentials.find(self._team.door.security, Role.MONITOR)
+            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop, credentials))
         except EndpointError:
             watch.look(time.monotonic())  # the coordinator's end says more
             if watch.is_done:

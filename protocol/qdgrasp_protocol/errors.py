@@ -14,6 +14,7 @@
         * RunsFailed             runs of a job that could not be, when the others are
         * JawNeeded              a prior for two-finger hands, and a hand that is none
         * EndpointError          an endpoint that cannot be listened on or reached
+        * SecurityError          certificates or keys that cannot be used
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
         * NoReply                nobody answered
@@ -118,6 +119,10 @@ class JawNeeded(InputError):
 
 class EndpointError(InputError):
     """An endpoint that cannot be listened on or reached."""
+
+
+class SecurityError(InputError):
+    """Certificates or keys that cannot be used."""
 
 
 class BusError(QdgraspError):

@@ -6,7 +6,7 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import structlog
 import zenoh
@@ -23,18 +23,18 @@ from qdgrasp_protocol.bus import (
     ValuesHandler,
     reason_of,
 )
+from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.endpoint import check_open, home, parse_all
 from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
+from qdgrasp_protocol.handshake import Unreachable
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.session import Mode, Settings, settings
 
 log = structlog.get_logger()
 
 T = TypeVar("T")
-Mode = Literal["client", "router"]
-"""The coordinator's session is the router where none runs already; everybody else is a client of it."""
 
-HOME, PORT = "127.0.0.1", 7447
-ENDPOINT = re.compile(r"(tcp|tls|quic|udp|ws)/\S+:[0-9]{1,5}(#\S+)?|unixsock-stream/\S+")
 PORT_TRIES = 3
 """How many free ports are tried where somebody else is quicker."""
 SLICE = 2.0  # seconds of one try to connect; between two of them a signal is heard
@@ -44,17 +44,6 @@ REFUSAL = "text/plain;qdgrasp.refusal"
 MAX_REASON = 1000
 """The most bytes that are shown of a refusal."""
 
-SETTINGS: dict[str, object] = {
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # ms; nobody is scouted, so opening a router need not wait for answers
-    "transport/shared_memory/enabled": False,
-    "transport/unicast/max_sessions": 10_000,
-    "transport/link/tx/lease": 4000,  # ms
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
-}
-"""What every session is opened with (docs/decisions/sessions-on-the-bus.md)."""
-RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 QOS = {
     Channel.DATA: (zenoh.CongestionControl.BLOCK, zenoh.Priority.DATA),
     Channel.CONTROL: (zenoh.CongestionControl.BLOCK, zenoh.Priority.INTERACTIVE_HIGH),
@@ -63,44 +52,16 @@ QOS = {
 """Congestion control and priority by channel. Links are streams: what is not dropped before is reliable."""
 
 
-def session_config(mode: Mode, endpoint: str, seconds: float = 0.0) -> zenoh.Config:
-    """The configuration of a session that listens on (router) or connects to (client) `endpoint`.
-
-    Parameters
-    ----------
-    seconds
-        How long opening the session may take; a connection lost later is sought for ever.
-
-    Raises
-    ------
-    EndpointError
-        The text is not an endpoint.
-    """
-    if not ENDPOINT.fullmatch(endpoint):
-        raise EndpointError(f"'{endpoint}' is not an endpoint; write it as tcp/HOST:PORT.")
-    verb = "listen" if mode == "router" else "connect"
-    config = zenoh.Config()
-    chosen = SETTINGS | {
-        "mode": mode,
-        f"{verb}/endpoints": [endpoint],
-        f"{verb}/timeout_ms": int(1000 * seconds),
-        f"{verb}/exit_on_failure": True,
-        f"{verb}/retry": RETRY,
-    }
-    for name, value in chosen.items():
-        config.insert_json5(name, json.dumps(value))
-    return config
-
-
-def free_endpoint() -> str:
+def free_endpoint(credentials: Credentials | None = None) -> str:
     """The default endpoint on loopback if its port is free, else one on a port that is free now."""
-    for port in (PORT, 0):
+    default = home(encrypted=credentials is not None)
+    for port in (default.port, 0):
         try:
-            with socket.create_server((HOME, port)) as server:
-                return f"tcp/{HOME}:{server.getsockname()[1]}"
+            with socket.create_server((default.host, port)) as server:
+                return f"{default.protocol}/{default.host}:{server.getsockname()[1]}"
         except OSError:
             continue
-    raise EndpointError(f"No port is free on {HOME}.")
+    raise EndpointError(f"No port is free on {default.host}.")
 
 
 class ZenohBus(Bus):
@@ -112,8 +73,22 @@ class ZenohBus(Bus):
         self._held: set[Declaration] = set()  # zenoh takes back a token that nobody holds
 
     @classmethod
-    def connect(cls, endpoint: str, deadline_seconds: float, stop: Stop | None = None) -> "ZenohBus":
+    def connect(
+        cls,
+        endpoint: str | None,
+        deadline_seconds: float,
+        stop: Stop | None = None,
+        credentials: Credentials | None = None,
+    ) -> "ZenohBus":
         """Open a session at the router on `endpoint`, trying for `deadline_seconds`.
+
+        Parameters
+        ----------
+        endpoint
+            One, or several separated by commas: the first that answers serves, and when it is lost
+            another one; None: the default one.
+        credentials
+            What the session proves its role with.
 
         Raises
         ------
@@ -122,31 +97,56 @@ class ZenohBus(Bus):
         SystemExit
             `stop` was set while trying.
         """
+        endpoints = (
+            parse_all(endpoint) if endpoint is not None else (home(encrypted=credentials is not None),)
+        )
         deadline = time.monotonic() + deadline_seconds
         while True:
             if stop is not None and stop.is_set:
                 raise SystemExit(stop.exit_code)
-            left = max(0.0, deadline - time.monotonic())
+            left = min(SLICE, max(0.0, deadline - time.monotonic()))
+            chosen = settings("client", connect=endpoints, credentials=credentials, seconds=left)
             try:
-                return cls(zenoh.open(session_config("client", endpoint, min(left, SLICE))), "client")
+                return cls(zenoh.open(_config(chosen)), "client")
             except zenoh.ZError:
                 if time.monotonic() >= deadline:
-                    raise EndpointError(
-                        f"Nothing answers at {endpoint} after {deadline_seconds:g} s; is the coordinator or "
-                        "router running there, and the port reachable? Name another with --connect."
-                    ) from None
+                    raise Unreachable(endpoints, deadline_seconds, credentials) from None
 
     @classmethod
-    def router(cls, endpoint: str) -> "ZenohBus":
+    def router(
+        cls,
+        endpoint: str,
+        *,
+        connect: str | None = None,
+        credentials: Credentials | None = None,
+        insecure: bool = False,
+    ) -> "ZenohBus":
         """Open a session that is the router itself and listens on `endpoint`.
+
+        Parameters
+        ----------
+        endpoint
+            Where; several are separated by commas.
+        connect
+            Other routers to relay with, now or as soon as they answer.
+        credentials
+            The router's; their folder holds its access list.
+        insecure
+            Listen also where strangers get to.
 
         Raises
         ------
         EndpointError
-            The port is taken, the address is not ours, or the text is not an endpoint.
+            The port is taken, the address is not ours, strangers could get there, or the text is not
+            an endpoint.
         """
+        listening = parse_all(endpoint)
+        for place in listening:
+            check_open(place, insecure=insecure)
+        others = parse_all(connect) if connect is not None else ()
+        chosen = settings("router", listen=listening, connect=others, credentials=credentials)
         try:
-            return cls(zenoh.open(session_config("router", endpoint)), "router")
+            return cls(zenoh.open(_config(chosen, credentials)), "router")
         except zenoh.ZError as error:
             reason = re.search(r"([A-Z][a-z ]+) \(os error", str(error))
             why = reason[1].lower() if reason else "zenoh refuses it"
@@ -155,7 +155,9 @@ class ZenohBus(Bus):
             ) from None
 
     @classmethod
-    def embedded(cls, endpoint: str | None) -> tuple["ZenohBus", str]:
+    def embedded(
+        cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
+    ) -> tuple["ZenohBus", str]:
         """Open a router on `endpoint`, or, where that is None, on a free port; and where that is.
 
         Raises
@@ -164,13 +166,13 @@ class ZenohBus(Bus):
             The endpoint that was named cannot be listened on, or no port is free.
         """
         if endpoint is not None:
-            return cls.router(endpoint), endpoint
+            return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
             with suppress(EndpointError):  # somebody else was quicker
-                chosen = free_endpoint()
-                return cls.router(chosen), chosen
-        chosen = free_endpoint()
-        return cls.router(chosen), chosen
+                chosen = free_endpoint(credentials)
+                return cls.router(chosen, credentials=credentials), chosen
+        chosen = free_endpoint(credentials)
+        return cls.router(chosen, credentials=credentials), chosen
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
         """Publish one message; a Publisher per key would leak memory on every join."""
@@ -294,6 +296,16 @@ class ZenohBus(Bus):
             return act()
         except zenoh.ZError as error:
             raise BusError(f"The bus refuses: {error}.") from None
+
+
+def _config(chosen: Settings, credentials: Credentials | None = None) -> zenoh.Config:
+    """A configuration with these settings, over those of a router's file, which hold its access list."""
+    config = zenoh.Config()
+    if credentials is not None and credentials.role is Role.ROUTER:
+        config = zenoh.Config.from_json5(credentials.configuration.read_text())
+    for name, value in chosen.items():
+        config.insert_json5(name, json.dumps(value))
+    return config
 
 
 def _reply(query: zenoh.Query, handler: QueryHandler) -> None:

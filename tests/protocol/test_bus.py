@@ -17,11 +17,12 @@ from structlog.testing import capture_logs
 from tests.endpoints import own_endpoint
 
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
+from qdgrasp_protocol.endpoint import HOME, PORT
 from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
-from qdgrasp_protocol.zenoh_bus import HOME, PORT, ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 TEXT = "text/plain"
 SOON = 10.0  # seconds that anything may take that is to happen

@@ -9,7 +9,9 @@ import structlog
 import typer
 
 from qdgrasp_assets.files import cache_folder
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.logs import speak
 
@@ -19,7 +21,8 @@ log = structlog.get_logger()
 
 @app.command()
 def worker(
-    connect: Annotated[str, typer.Option(help="Endpoint of the router.")] = "tcp/127.0.0.1:7447",
+    connect: flags.Connect = None,
+    security: flags.Security = None,
     job: Annotated[str | None, typer.Option(help="Serve this job only; default: every job there is.")] = None,
     cache: Annotated[Path | None, typer.Option(help="Where scenes are kept between runs.")] = None,
     wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
@@ -29,7 +32,7 @@ def worker(
 ) -> None:
     """Evaluate grasps for the jobs on a bus, with one simulator on one core.
 
-    Example: qdgrasp-worker --connect tcp/head-node:7447
+    Example: qdgrasp-worker --connect tls/head:7447 --security security
     """
     with lifetime("qdgrasp-worker") as stop:
         for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -44,7 +47,8 @@ def worker(
         from qdgrasp_worker.bundles import Bundles
         from qdgrasp_worker.service import WorkerService
 
-        with ZenohBus.connect(connect, wait, stop) as bus:
+        credentials = Credentials.find(security, Role.WORKER)
+        with ZenohBus.connect(connect, wait, stop, credentials) as bus:
             bundles = Bundles(cache or cache_folder() / "scenes")
             WorkerService(bus, stop, job=job, platform=platform(), bundles=bundles).run()
         log.info("stopped")

@@ -13,7 +13,8 @@ from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped
 from qdgrasp_coordinator.figures import screened_words
 from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.progress import display
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import lifetime
 
@@ -26,6 +27,8 @@ def campaign(
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
+    security: flags.Security = None,
+    insecure: flags.Insecure = False,
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
     disk_wait: options.DiskWait = 60.0,
     list_runs: Annotated[bool, typer.Option("--list", help="Print the runs, and do nothing.")] = False,
@@ -43,7 +46,8 @@ def campaign(
         return
     extent = begin(path, asked, job)
     folder = JobFolder(path)
-    team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
+    door = Door(listen, security, insecure)
+    team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
     with lifetime("qdgrasp campaign") as stop, display(path.name, asked.evaluations) as shown:
         shown.say(asked.words)
         if extent.runs_done:

@@ -16,7 +16,9 @@ from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.programme import Programme, Single
 from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_coordinator.service import CoordinatorService
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.lifetime import Stop, lifetime
 from qdgrasp_protocol.logs import speak
@@ -37,8 +39,11 @@ def coordinator(
     ],
     listen: options.Listen = None,
     connect: Annotated[
-        str | None, typer.Option(help="Endpoint of a router that runs already; default: embed one.")
+        str | None,
+        typer.Option(help="Endpoints of routers that run already, separated by commas; default: embed one."),
     ] = None,
+    security: flags.Security = None,
+    insecure: flags.Insecure = False,
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's or file's.")] = None,
     batch_size: options.BatchSize = None,
 ) -> None:
@@ -51,7 +56,7 @@ def coordinator(
     name = job or (folder.name if folder else job_name(what.stem))
     with lifetime("qdgrasp-coordinator") as stop, ExitStack() as stack:
         speak("coordinator")
-        bus, endpoint = _session(listen, connect, stop)
+        bus, endpoint = _session(listen, connect, security, stop, insecure=insecure)
         stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
         if folder is not None:
@@ -81,9 +86,14 @@ def programme_of(what: Path, folder: JobFolder | None) -> Programme:
     return Single(preparation.assignment(spec, scene, bundle))
 
 
-def _session(listen: str | None, connect: str | None, stop: Stop) -> tuple[ZenohBus, str]:
-    """A session at a router that runs already, or one that is the router itself."""
-    return (ZenohBus.connect(connect, 30.0, stop), connect) if connect else ZenohBus.embedded(listen)
+def _session(
+    listen: str | None, connect: str | None, security: Path | None, stop: Stop, *, insecure: bool
+) -> tuple[ZenohBus, str]:
+    """A session at a router that runs already, or one that is the router itself, and where that is."""
+    if connect:
+        credentials = Credentials.find(security, Role.COORDINATOR)
+        return ZenohBus.connect(connect, 30.0, stop, credentials), connect
+    return ZenohBus.embedded(listen, Credentials.find(security, Role.ROUTER), insecure=insecure)
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from qdgrasp_coordinator.cli import (
     rerank,
     resume,
     run,
+    security,
 )
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.logs import speak
@@ -40,6 +41,7 @@ app.command()(doctor.doctor)
 app.command()(bench.bench)
 app.add_typer(asset.app, name="asset")
 app.add_typer(reference.app, name="reference")
+app.add_typer(security.app, name="security")
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ BatchSize = Annotated[
 ]
 Listen = Annotated[
     str | None,
-    typer.Option(help="Endpoint of the embedded router; default tcp/127.0.0.1:7447, or a free port."),
+    typer.Option(help="Endpoint of the embedded router; default: port 7447 on loopback, or a free one."),
 ]
 DiskWait = Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]

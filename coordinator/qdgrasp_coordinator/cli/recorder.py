@@ -8,7 +8,9 @@ import typer
 
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.recorder import RecorderService
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.logs import speak
 from qdgrasp_protocol.zenoh_bus import ZenohBus
@@ -22,7 +24,8 @@ def recorder(
     out: Annotated[
         Path, typer.Option(help="The job's folder, a run's or a campaign's; begun where there is none.")
     ],
-    connect: Annotated[str, typer.Option(help="Endpoint of the router.")] = "tcp/127.0.0.1:7447",
+    connect: flags.Connect = None,
+    security: flags.Security = None,
     disk_wait: options.DiskWait = 60.0,
     wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
 ) -> None:
@@ -31,12 +34,13 @@ def recorder(
     A single run's records lie in the folder itself, those of a campaign's runs in DIR/runs/RUN. The folder
     must not be on a network file system. One recorder at a time writes in it.
 
-    Example: qdgrasp-recorder --connect tcp/head-node:7447 --job mugs --out runs/mugs
+    Example: qdgrasp-recorder --connect tls/head:7447 --security security --job mugs --out runs/mugs
     """
     with lifetime(f"qdgrasp-recorder {job}") as stop:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a file at its size limit is a full disk, not a death
         speak("recorder")
-        with ZenohBus.connect(connect, wait, stop) as bus:
+        credentials = Credentials.find(security, Role.RECORDER)
+        with ZenohBus.connect(connect, wait, stop, credentials) as bus:
             RecorderService(bus, stop, job=job, path=out, disk_wait=disk_wait).run()
     raise typer.Exit(stop.exit_code)
 

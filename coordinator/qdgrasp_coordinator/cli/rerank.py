@@ -19,7 +19,8 @@ from qdgrasp_coordinator.poses import as_given
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.ranking import best, grasps, note_source
 from qdgrasp_coordinator.search import method
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import lifetime
@@ -49,6 +50,8 @@ def rerank(
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
+    security: flags.Security = None,
+    insecure: flags.Insecure = False,
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder; default runs/<name of the run>-<protocol>.")
@@ -72,7 +75,8 @@ def rerank(
     found = _grasps(source, (object_pose or "0,0,0") if discard_table else None)
     chosen = best(found, top, niches(found, synergies_of(source)) if by_niche else None)
     spec = spec_of(source, protocol, chosen)
-    team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
+    door = Door(listen, security, insecure)
+    team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
     with display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {len(chosen)} grasps of {directory} again")
         scene, bundle = preparation.make_bundle(spec)

@@ -11,7 +11,8 @@ from qdgrasp_coordinator.cli.run import finish, show_ranking
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.summary import summary
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.lifetime import lifetime
 
@@ -24,6 +25,8 @@ def resume(
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
+    security: flags.Security = None,
+    insecure: flags.Insecure = False,
     disk_wait: options.DiskWait = 60.0,
 ) -> None:
     """Go on with a run where its journal ends; --evaluations extends a finished one.
@@ -40,7 +43,8 @@ def resume(
         typer.echo(f"{directory} is finished: {found.words}")
         show_ranking(folder)
         return
-    team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
+    door = Door(listen, security, insecure)
+    team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
     with lifetime("qdgrasp resume") as stop, display(directory.name, folder.spec.evaluations) as shown:
         shown.say(f"going on after {found.evaluations} evaluations")
         carry_out(folder.job, team, shown, stop)

@@ -13,7 +13,8 @@ from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.ranking import is_reranking, write_ranking
 from qdgrasp_coordinator.summary import summary
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import Stop, lifetime
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec, read_run_spec
@@ -52,6 +53,8 @@ def run(
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
+    security: flags.Security = None,
+    insecure: flags.Insecure = False,
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
     disk_wait: options.DiskWait = 60.0,
@@ -77,7 +80,8 @@ def run(
         "surface_seed": surface_seed,
     }
     asked = preparation.full_spec(_merged(spec, flags), str(spec) if spec else "run")
-    team = Team(options.cores() if workers is None else workers, batch_size, listen, disk_wait)
+    door = Door(listen, security, insecure)
+    team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
     start(asked, out or Path("runs") / preparation.default_name(asked), team, job)
 
 

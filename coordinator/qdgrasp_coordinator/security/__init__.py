@@ -1,0 +1,1 @@
+"""Certificates, access lists, and the proof that they hold (docs/security.md)."""
