@@ -109,7 +109,7 @@ class Gripper:
         Raises
         ------
         AssetError
-            A mesh is missing or cannot be read.
+            A mesh is missing, empty or cannot be read.
         """
         file = self.file
         carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
@@ -140,6 +140,8 @@ class Gripper:
         hand = tree(self.robot.path, element).subtree(self.file.base_link)
         try:
             return round(largest_side(hand, meshes), 6)
+        except AssetError:
+            raise
         except Exception as error:  # noqa: BLE001  # readers of meshes raise whatever they stumble over
             raise AssetError(
                 f"The URDF '{self.robot.path}' has a collision shape that cannot be read: "

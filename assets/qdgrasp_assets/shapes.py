@@ -14,6 +14,7 @@ from qdgrasp_assets.mesh import Floats, Mesh
 from qdgrasp_assets.obj import read_obj
 from qdgrasp_assets.stl import triangles
 from qdgrasp_assets.urdf import Urdf, origin
+from qdgrasp_protocol.errors import AssetError
 
 
 @dataclass(frozen=True)
@@ -28,16 +29,27 @@ class Shape:
 
 
 def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Shape]:
-    """The collision shapes of a robot's links; `files` holds its meshes by the names that it uses."""
+    """The collision shapes of a robot's links; `files` holds its meshes by the names that it uses.
+
+    Raises
+    ------
+    AssetError
+        A mesh has no triangles.
+    """
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):
             geometry = collision.find("geometry")
             if geometry is None or not len(geometry):
                 continue
-            mesh = FORMS[geometry[0].tag](geometry[0], files)
+            mesh, name = FORMS[geometry[0].tag](geometry[0], files), link.get("name", "")
+            if not len(mesh.faces):
+                raise AssetError(
+                    f"The URDF '{robot.path}' has an empty collision shape: the mesh of link '{name}' has no "
+                    "triangles; give it one with a surface, or leave the shape out."
+                )
             frame = origin(robot.path, collision.find("origin"))
             placed = mesh.vertices @ frame[:3, :3].T + frame[:3, 3]
-            yield Shape(link.get("name", ""), placed, mesh.faces)
+            yield Shape(name, placed, mesh.faces)
 
 
 def largest_side(robot: Urdf, files: Mapping[str, bytes]) -> float:
@@ -70,7 +82,7 @@ def _read(content: bytes, kind: str) -> Mesh:
 def _obj(content: bytes) -> Floats:
     """The corners (f, 3, 3) of the triangles of an OBJ file."""
     read = read_obj(content.decode("utf-8", "replace"))
-    return np.concatenate([read.vertices[group] for group in read.groups])
+    return np.concatenate([np.zeros((0, 3, 3)), *(read.vertices[group] for group in read.groups)])
 
 
 READERS: dict[str, Callable[[bytes], Floats | None]] = {"stl": triangles, "obj": _obj}

@@ -87,7 +87,26 @@ def test_a_missing_mesh_is_named(claw):
         read(claw).on_carrier("paper")
 
 
-@pytest.mark.parametrize("text", ["v 0 0 0\n", "v a b c\n", "v 0 0 0\nf 1 2 3\n"])
+@pytest.mark.parametrize(
+    ("kind", "content"),
+    [
+        ("stl", bytes(84)),
+        ("stl", b""),
+        ("stl", b"solid nothing\nendsolid nothing\n"),
+        ("obj", b""),
+        ("obj", b"o nothing\nv 0 0 0\n"),
+    ],
+)
+def test_a_mesh_without_triangles_is_one_sentence(claw, edit, kind, content):
+    edit(claw.parent / "claw.urdf", "palm.stl", f"palm.{kind}")
+    (claw.parent / f"palm.{kind}").write_bytes(content)
+    with pytest.raises(
+        AssetError, match=r"claw.urdf' has .* collision shape.*(no triangles|cannot be read).*\.$"
+    ):
+        read(claw).on_carrier("paper")
+
+
+@pytest.mark.parametrize("text", ["v a b c\n", "v 0 0 0\nf 1 2 3\n"])
 def test_a_mesh_that_cannot_be_read_is_one_sentence(claw, edit, text):
     edit(claw.parent / "claw.urdf", "palm.stl", "palm.obj")
     (claw.parent / "palm.obj").write_text(text)

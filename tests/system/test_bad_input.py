@@ -1,5 +1,6 @@
 """Bad input: one clear sentence, exit code 2, nothing lost or half-written."""
 
+import re
 import socket
 from importlib.resources import files
 from pathlib import Path
@@ -119,6 +120,14 @@ def test_a_urdf_whose_mesh_is_missing_is_refused(qdgrasp):
     urdf = qdgrasp.home / "panda.urdf"
     urdf.write_text(urdf.read_text().replace("finger.obj", "thumb.obj"))
     assert "thumb.obj" in sentence(qdgrasp("run", "--gripper", hand, "--object", "mug"))
+
+
+def test_a_hand_with_a_mesh_without_triangles_is_refused(qdgrasp):
+    hand = own_hand(qdgrasp.home)
+    urdf = qdgrasp.home / "panda.urdf"
+    urdf.write_text(re.sub(r'"[^"]*finger.obj"', '"thumb.obj"', urdf.read_text()))
+    (qdgrasp.home / "thumb.obj").write_text("o thumb\nv 0 0 0\n")
+    assert "no triangles" in sentence(qdgrasp(*RUN, "--gripper", hand))
 
 
 def test_a_folder_that_holds_other_files_is_left_alone(qdgrasp):
