@@ -33,12 +33,24 @@ Box: TypeAlias = tuple[ArrayLike, ArrayLike]
 class Elites:
     """What an archive holds, in the order of its cells."""
 
-    genomes: Genomes
+    held: Genomes
+    """(n, d): their genomes, in any order."""
+    order: NDArray[np.intp]
+    """(n,): their places in `held`."""
     successful: NDArray[np.bool_]
     """(n,): which of them are successes."""
 
     def __len__(self) -> int:
-        return len(self.genomes)
+        return len(self.order)
+
+    @property
+    def genomes(self) -> Genomes:
+        """(n, d)."""
+        return self.held[self.order]
+
+    def picked(self, picks: NDArray[np.intp]) -> Genomes:
+        """The genomes of some of them."""
+        return self.held[self.order[picks]]
 
 
 class Archive:
@@ -59,6 +71,8 @@ class Archive:
         _compile_insertion()
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         self._grid = _grid(genes, self._low, self._high)
+        self._order = np.zeros(0, dtype=np.intp)  # of what the grid holds, by the index of its cells
+        self._sorted = np.zeros(0, dtype=np.int64)  # these indices
 
     def __len__(self) -> int:
         return len(self._grid)
@@ -71,9 +85,19 @@ class Archive:
     @property
     def elites(self) -> Elites:
         """All elites, by the index of their cells: the same archive gives the same order."""
-        data = self._grid.data(["solution", "objective", "index"])
-        order = np.argsort(data["index"])
-        return Elites(data["solution"][order], data["objective"][order] > FAILED)
+        self._sort()
+        data = self._grid.data(["solution", "objective"])
+        return Elites(data["solution"], self._order, data["objective"][self._order] > FAILED)
+
+    def _sort(self) -> None:
+        """Sort cells in that hold their first elite; the grid has them behind those before."""
+        known = len(self._order)
+        if len(self._grid) > known:
+            indices = self._grid.data("index")[known:]
+            new = np.argsort(indices)
+            places = np.searchsorted(self._sorted, indices[new])
+            self._order = np.insert(self._order, places, known + new)
+            self._sorted = np.insert(self._sorted, places, indices[new])
 
     def insert(self, rows: Rows) -> None:
         """Offer rows, elder ones first; overlaps, dead ends and errors are passed over."""
