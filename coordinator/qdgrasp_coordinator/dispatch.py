@@ -120,6 +120,14 @@ class Dispatch:
         """Hear that a worker's token is there (again)."""
         self._roster.back(wid)
 
+    def drain(self, wid: str) -> None:
+        """Lease a worker nothing more; what it holds it may answer."""
+        self._roster.drain(wid)
+
+    def is_drained(self, wid: str) -> bool:
+        """Whether a worker is to leave."""
+        return self._roster.is_drained(wid)
+
     def link(self, is_up: bool, now: float) -> None:
         """Hear that the coordinator's own link went down or came up; while it is down nobody is given up."""
         self._roster.link(is_up, now)
@@ -151,7 +159,7 @@ class Dispatch:
         ticket = self._tickets.find(result.batch)
         if kind is not Settlement.FRESH or ticket is None:
             return Settled(kind)
-        self._learn(ticket, wid, result.cpu_seconds, now)
+        self._learn(ticket, wid, result, now)
         self._backlog.remove(ticket.batch)
         self._tickets.close(ticket, winner=wid)
         settled = self._split(ticket.batch, result, rows)
@@ -176,8 +184,13 @@ class Dispatch:
 
     @property
     def workers(self) -> int:
-        """Workers that are there and make progress."""
+        """Workers that are there to stay, and make progress."""
         return len(self._roster)
+
+    @property
+    def members(self) -> list[Member]:
+        """What is known of each worker, in the order in which they joined."""
+        return list(self._roster)
 
     @property
     def queued_seconds(self) -> float:
@@ -222,8 +235,9 @@ class Dispatch:
 
     # Settling.
 
-    def _learn(self, ticket: Ticket, wid: str, cpu_seconds: float, now: float) -> None:
-        self._backlog.measure(ticket.batch, cpu_seconds)
+    def _learn(self, ticket: Ticket, wid: str, result: Result, now: float) -> None:
+        self._backlog.measure(ticket.batch, result.cpu_seconds)
+        self._roster.settled(wid, result.n)
         if ticket.holder == wid:
             self._roster.patience.measure(now - ticket.since)
 

@@ -106,6 +106,10 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     """Counted evaluations per second since then, replayed ones apart."""
     trouble: str = ""
     """What keeps the job from going on, in words; empty when nothing does."""
+    state: str = "running"
+    """"running", "paused" or "ending"."""
+    recorders: int = 0
+    """Recorders of this job that are there."""
 
     @property
     def words(self) -> str:
@@ -115,6 +119,8 @@ class JobFigures(Struct, frozen=True, kw_only=True):
         done = f"{runs}{self.evaluations} of {self.budget} evaluations"
         if self.trouble:
             return f"{done}, paused: {self.trouble}"
+        if self.state == "paused":
+            return f"{done}, paused until `qdgrasp continue {self.job}`"
         found = f"{self.successes} successes in {self.cells} cells, {screened_words(self)}"
         trials = f"{self.trials} trials, " if self.trials else ""
         return f"{done}, {self.rate:.0f}/s, {found}, {trials}{self.workers} workers"
@@ -129,10 +135,44 @@ class JobFigures(Struct, frozen=True, kw_only=True):
         return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
 
 
-AnyFigures = TypeVar("AnyFigures", Figures, JobFigures)
+class WorkerFigures(Struct, frozen=True, kw_only=True):
+    """A worker of a job, as the coordinator sees it. JSON, the answer to a query on `stat/worker/<wid>`."""
+
+    wid: str
+    host: str
+    pid: int
+    state: str
+    """"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone"."""
+    batches: int
+    """That it holds."""
+    rows: int
+    """That it has settled."""
+    seconds: float
+    """Since it joined."""
 
 
-def to_json(figures: Figures | JobFigures) -> bytes:
+class JobMeta(Struct, frozen=True, kw_only=True):
+    """What a job is and who carries it out. Travels as JSON on `meta` when a coordinator begins its turn."""
+
+    job: str
+    epoch: int
+    """The coordinator's turn; 0 before it has one: no recorder has answered yet."""
+    since: str
+    """When this coordinator started, ISO 8601, UTC."""
+    host: str
+    """The coordinator's."""
+    pid: int
+    version: str
+    """Of qdgrasp."""
+    runs: int
+    budget: int
+    """Counted evaluations of all runs."""
+
+
+AnyFigures = TypeVar("AnyFigures", Figures, JobFigures, WorkerFigures, JobMeta)
+
+
+def to_json(figures: Figures | JobFigures | WorkerFigures | JobMeta) -> bytes:
     """Figures as JSON, readable with any zenoh tool."""
     return json.dumps(msgspec.to_builtins(figures)).encode()
 

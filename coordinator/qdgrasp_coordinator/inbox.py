@@ -6,7 +6,7 @@ from queue import Empty, SimpleQueue
 
 from qdgrasp_coordinator.opener import News
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.messages import Join
+from qdgrasp_protocol.messages import Join, Order
 
 
 @dataclass(frozen=True)
@@ -15,6 +15,21 @@ class JoinRequest:
 
     join: Join
     answer: Future[bytes] = field(default_factory=Future)
+
+
+@dataclass(frozen=True)
+class OrderRequest:
+    """Somebody administers this job and waits for what happened, in words."""
+
+    order: Order
+    answer: Future[str] = field(default_factory=Future)
+
+
+@dataclass(frozen=True)
+class ShowRequest:
+    """Somebody waits for the last values of all that is shown of this job."""
+
+    answer: Future[dict[str, bytes]] = field(default_factory=Future)
 
 
 @dataclass(frozen=True)
@@ -37,7 +52,7 @@ class Wake:
     """Look at the signals."""
 
 
-Event = Sample | JoinRequest | TokenChange | LinkChange | News | Wake
+Event = Sample | JoinRequest | OrderRequest | ShowRequest | TokenChange | LinkChange | News | Wake
 
 
 class Inbox:

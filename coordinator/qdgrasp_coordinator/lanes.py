@@ -9,7 +9,7 @@ from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.figures import JobFigures
 from qdgrasp_coordinator.lane import Lane
 from qdgrasp_coordinator.opener import News, Opener
-from qdgrasp_coordinator.programme import Programme
+from qdgrasp_coordinator.programme import Extent, Programme
 from qdgrasp_coordinator.record import Record
 from qdgrasp_coordinator.totals import Totals
 from qdgrasp_protocol.errors import RunFailed, RunsFailed
@@ -129,6 +129,11 @@ class Lanes:
         } | {bundle.digest: bundle}
 
     # How far they are.
+
+    @property
+    def extent(self) -> Extent:
+        """How much there was to do when they began."""
+        return self._extent
 
     def figures(self, job: str, workers: int, now: float) -> JobFigures:
         """How far the job is."""

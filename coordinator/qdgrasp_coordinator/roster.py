@@ -5,6 +5,7 @@ in seconds of any steady clock.
 """
 
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
 from math import inf
@@ -36,16 +37,33 @@ class Member:
     """When its token vanished; None: it is there."""
     is_stuck: bool = False
     """It let a lease pass; until it shows progress it gets no work, unless all are stuck."""
+    is_drained: bool = False
+    """It is to leave: it gets no more work."""
+    since: float = 0.0
+    """When it joined first."""
+    rows: int = 0
+    """How many rows it has settled."""
 
     @property
     def is_well(self) -> bool:
-        """It is there, and makes progress."""
-        return self.gone_at is None and not self.is_stuck
+        """It is there to stay, and makes progress."""
+        return self.gone_at is None and not self.is_stuck and not self.is_drained
 
     @property
     def has_credit(self) -> bool:
         """It may be leased more."""
-        return len(self.batches) < self.credit
+        return len(self.batches) < self.credit and not self.is_drained
+
+    @property
+    def state(self) -> str:
+        """How it is, in a word."""
+        if self.gone_at is not None:
+            return "gone"
+        if self.is_drained:
+            return "leaving"
+        if self.is_stuck:
+            return "stuck"
+        return "working" if self.batches else "idle"
 
     def deadline(self, limit: float) -> float:
         """When it is given up unless something is heard of it; infinite: never."""
@@ -75,10 +93,15 @@ class Roster:
     def __init__(self) -> None:
         self.patience = Patience()
         self._members: dict[str, Member] = {}
+        self._drained: set[str] = set()
         self._link_is_up = True
 
+    def __iter__(self) -> Iterator[Member]:
+        """All that are known, also those that are gone and not yet given up."""
+        return iter(self._members.values())
+
     def __len__(self) -> int:
-        """How many workers are there and make progress."""
+        """How many workers are there to stay, and make progress."""
         return sum(member.is_well for member in self._members.values())
 
     def get(self, wid: str) -> Member | None:
@@ -87,16 +110,31 @@ class Roster:
 
     def admit(self, wid: str, number: int, credit: int, now: float) -> Member:
         """Take a worker on, with empty hands."""
-        member = Member(wid, number, credit, progress=now)
-        if wid in self._members:
-            member.scenes = self._members[wid].scenes
+        member = Member(wid, number, credit, progress=now, since=now, is_drained=wid in self._drained)
+        if (old := self._members.get(wid)) is not None:
+            member.scenes, member.since, member.rows = old.scenes, old.since, old.rows
         self._members[wid] = member
         return member
+
+    def drain(self, wid: str) -> None:
+        """Give a worker no more work, whenever it joins."""
+        self._drained.add(wid)
+        if wid in self._members:
+            self._members[wid].is_drained = True
+
+    def is_drained(self, wid: str) -> bool:
+        """Whether a worker is to leave."""
+        return wid in self._drained
 
     def seen(self, wid: str, now: float) -> None:
         """Hear that a worker makes progress."""
         if wid in self._members:
             self._members[wid].progressed(now)
+
+    def settled(self, wid: str, rows: int) -> None:
+        """Hear that a worker has settled rows."""
+        if wid in self._members:
+            self._members[wid].rows += rows
 
     def gone(self, wid: str, now: float) -> None:
         """Hear that a worker's token has vanished."""

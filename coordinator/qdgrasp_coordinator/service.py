@@ -6,31 +6,36 @@ do with what comes is decided in `Turn`, and carried out here.
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import ExitStack
+from math import inf
 
 import structlog
 
 from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.figures import Figures, JobFigures, to_json
-from qdgrasp_coordinator.inbox import Event, Inbox, LinkChange, TokenChange, Wake
+from qdgrasp_coordinator.board import Board
+from qdgrasp_coordinator.figures import JobFigures
+from qdgrasp_coordinator.inbox import Event, Inbox, LinkChange, OrderRequest, ShowRequest, TokenChange, Wake
 from qdgrasp_coordinator.lane import Lane
 from qdgrasp_coordinator.lanes import Lanes
 from qdgrasp_coordinator.opener import Begun, Failed, NoneLeft
+from qdgrasp_coordinator.orders import Orders
 from qdgrasp_coordinator.programme import Programme
 from qdgrasp_coordinator.reception import Reception
 from qdgrasp_coordinator.record import Record
 from qdgrasp_coordinator.turn import Turn
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import Refused, RunFailed
+from qdgrasp_protocol.errors import EndedEarly, Refused, RunFailed
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.messages import Message, Opened
+from qdgrasp_protocol.messages import Message, Opened, Order
 
 log = structlog.get_logger()
 
-STAT_INTERVAL = 0.5  # seconds between two publications of the figures
 MAX_PATIENCE = 0.5  # seconds that the inbox is waited for, at most
+FAREWELL = 5.0
+"""Seconds that a job that ends early waits for its recorder."""
 
 
 class CoordinatorService:
@@ -48,6 +53,8 @@ class CoordinatorService:
         Where the rows of a run go.
     batch_size
         Rows in a batch; None: measured.
+    seconds
+        After so long what is out is taken back, what was found is recorded, and `run` returns; None: never.
     """
 
     def __init__(
@@ -59,6 +66,7 @@ class CoordinatorService:
         programme: Programme,
         make_record: Callable[[Assignment], Record],
         batch_size: int | None = None,
+        seconds: float | None = None,
     ) -> None:
         self._bus = bus
         self._stop = stop
@@ -70,7 +78,11 @@ class CoordinatorService:
         self._lanes = Lanes(programme, make_record, self._inbox.put, stop)
         self._reception = Reception(self._inbox, self._lanes.scene)
         self._turn = self._new_turn(0)
-        self._stat_at = 0.0
+        self._board = Board(bus, job, self._lanes, lambda: self._turn)
+        self._orders = Orders(job, lambda: self._turn, self._cancel)
+        self._cancelled = ""
+        self._end_at = inf if seconds is None else time.monotonic() + seconds
+        """When the time is over and this job ends; once it is ending, when that may take no longer."""
 
     def run(self, look: Callable[[float], None] = lambda _now: None) -> None:
         """Carry all runs out until they are finished and recorded, or until asked to stop.
@@ -83,28 +95,29 @@ class CoordinatorService:
         Raises
         ------
         EndedEarly
-            Another coordinator took over.
+            Another coordinator took over, or the job was cancelled.
         RunsFailed
             Runs could not be carried out: a scene that cannot be built, a recorder that holds another run, a
             journal that is not what its spec replays to. The others are.
         """
         self._stop.tell(lambda: self._inbox.put(Wake()))
         with self._doors:
-            self._doors.callback(self._lanes.close)
-            self._doors.enter_context(self._bus.subscribe(self._keys.recorded, self._inbox.put))
-            self._doors.enter_context(self._bus.watch(self._keys.recorder_token(), self._token_changed))
-            while not (self._stop.is_set or self._lanes.are_done):
+            self._open_doors()
+            while not (self._stop.is_set or self._lanes.are_done or self._is_ended):
                 self._step()
                 look(time.monotonic())
-            self._publish_figures(time.monotonic())
-        reason = "asked to stop" if self._stop.is_set else "done"
+            self._board.publish(time.monotonic())
+        reason = "asked to stop" if self._stop.is_set else self._cancelled or "done"
         log.info("ended", reason=reason, **self._turn.dispatch.counters)
-        if not self._stop.is_set:
-            self._lanes.check()
+        if self._stop.is_set:
+            return
+        if self._cancelled and not self._lanes.are_done:
+            raise EndedEarly(self._cancelled)
+        self._lanes.check()
 
     def figures(self, now: float) -> JobFigures:
         """How far the job is."""
-        return self._lanes.figures(self._job, self._turn.dispatch.workers, now)
+        return self._board.figures(now)
 
     def _step(self) -> None:
         """Hear what came, then do everything that is possible now."""
@@ -116,12 +129,14 @@ class CoordinatorService:
         for lane in self._lanes:
             if lane.is_done:
                 self._end(lane, now)
-        self._lanes.open_another(self._turn.epoch, is_wanted=self._turn.wants_more)
-        if now >= self._stat_at:
-            self._publish_figures(now)
+        if not self._turn.is_ending:
+            self._lanes.open_another(self._turn.epoch, is_wanted=self._turn.wants_more)
+            if now >= self._end_at:
+                self._end_early(now)
+        self._board.publish_due(now)
 
     def _patience(self, now: float) -> float:
-        return min(MAX_PATIENCE, max(0.0, self._turn.next_deadline() - now))
+        return min(MAX_PATIENCE, max(0.0, min(self._turn.next_deadline(), self._end_at) - now))
 
     def _take(self, event: Event, now: float) -> None:
         match event:
@@ -131,10 +146,54 @@ class CoordinatorService:
                 self._failed(reason)
             case NoneLeft():
                 self._lanes.none_left()
+            case OrderRequest(order, answer):
+                self._obey(order, answer, now)
+            case ShowRequest(answer):
+                answer.set_result(self._board.values(now))
+            case TokenChange(key, alive):
+                self._board.token_changed(key, alive)
+                self._turn.take(event, now)
             case _:
                 self._turn.take(event, now)
 
+    # Some end before they are done.
+
+    def _obey(self, order: Order, answer: "Future[str]", now: float) -> None:
+        """Do what an order asks, and answer it."""
+        try:
+            words = self._orders.obey(order, now)
+        except Refused as refusal:
+            answer.set_exception(refusal)
+            return
+        log.info("obeyed", order=order.act, words=words)
+        answer.set_result(words)
+
+    def _cancel(self, words: str) -> None:
+        self._cancelled = words
+        self._end_early(time.monotonic())
+
+    def _end_early(self, now: float) -> None:
+        """Begin nothing any more, and wait a little until what was found is recorded."""
+        self._turn.end()
+        self._end_at = now + FAREWELL
+
+    @property
+    def _is_ended(self) -> bool:
+        """Whether a job that is ending may end now; what is not recorded by then is evaluated again."""
+        is_safe = all(lane.record.is_empty for lane in self._lanes)
+        return self._turn.is_ending and (is_safe or time.monotonic() >= self._end_at)
+
     # Runs begin, go on and end.
+
+    def _open_doors(self) -> None:
+        """Open the doors to recorders, and to whoever watches or administers the job."""
+        enter = self._doors.enter_context
+        self._doors.callback(self._lanes.close)
+        enter(self._bus.subscribe(self._keys.recorded, self._inbox.put))
+        enter(self._bus.watch(self._keys.recorder_token(), self._token_changed))
+        enter(self._bus.show(self._keys.stat(), self._reception.values))
+        enter(self._bus.show(self._keys.meta, self._reception.values))
+        enter(self._bus.answer(self._keys.control, self._reception.order))
 
     def _begin(self, lane: Lane, opened: Opened) -> None:
         """Take on a run that is open."""
@@ -149,8 +208,9 @@ class CoordinatorService:
         log.info("opened", run=lane.run, recorded=lane.replayed)
 
     def _begin_turn(self, epoch: int) -> None:
-        """Open the doors: results, joins and scenes first, the token that invites workers last."""
-        self._turn = self._new_turn(epoch)
+        """Open the doors to workers: results, joins and scenes first, the token that invites them last."""
+        before, self._turn = self._turn, self._new_turn(epoch)
+        self._turn.is_paused, self._turn.is_ending = before.is_paused, before.is_ending
         enter = self._doors.enter_context
         enter(self._bus.subscribe(self._keys.result(), self._inbox.put))
         enter(self._bus.subscribe(self._keys.stat("worker/*"), self._inbox.put))
@@ -160,6 +220,7 @@ class CoordinatorService:
         enter(self._bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
         enter(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
         enter(self._bus.token(self._keys.coordinator_token(epoch)))
+        self._board.publish_meta()
 
     def _new_turn(self, epoch: int) -> Turn:
         return Turn(self._job, epoch, self._lanes, self._put, self._batch_size)
@@ -173,7 +234,7 @@ class CoordinatorService:
 
     def _end(self, lane: Lane, now: float) -> None:
         """Let go of a run that is finished and recorded."""
-        self._publish(f"run/{lane.run}", lane.figures(self._turn.dispatch.workers, now))
+        self._board.publish_run(lane.figures(self._turn.dispatch.workers, now))
         self._lanes.end(lane)
         log.info("finished", run=lane.run, reason=lane.pipeline.finished)
 
@@ -185,13 +246,3 @@ class CoordinatorService:
     def _put(self, key: str, message: Message, channel: Channel) -> None:
         kind = codec.encoding(type(message))
         self._bus.put(key, codec.encode(message), encoding=kind, channel=channel)
-
-    def _publish_figures(self, now: float) -> None:
-        self._stat_at = now + STAT_INTERVAL
-        for lane in self._lanes:
-            self._publish(f"run/{lane.run}", lane.figures(self._turn.dispatch.workers, now))
-        self._publish("job", self.figures(now))
-
-    def _publish(self, what: str, figures: Figures | JobFigures) -> None:
-        key = self._keys.stat(what)
-        self._bus.put(key, to_json(figures), encoding="application/json", channel=Channel.MONITOR)

@@ -12,10 +12,12 @@ import structlog
 
 from qdgrasp_coordinator.batch import Settlement, readable
 from qdgrasp_coordinator.dispatch import Dispatch
+from qdgrasp_coordinator.figures import WorkerFigures
 from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.inbox import JoinRequest, LinkChange, TokenChange
 from qdgrasp_coordinator.lane import Lane
 from qdgrasp_coordinator.platforms import admit
+from qdgrasp_coordinator.roster import Member
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.errors import EndedEarly, MessageError, Refused
@@ -65,6 +67,11 @@ class Turn:
         self._put = put
         self._platform: dict[str, str] = {}
         self._alive: set[str] = set()
+        self._joins: dict[str, Join] = {}
+        self.is_paused = False
+        """Nothing is leased; what is out comes back and counts."""
+        self.is_ending = False
+        """Nothing is asked or leased any more; what was found is still recorded."""
 
     # Events come in.
 
@@ -140,6 +147,9 @@ class Turn:
         drop = self.dispatch.join(join.wid, join.number, join.credit, join.held, now)
         if join.wid not in self._alive:  # its token is late, or vanished before its question came
             self.dispatch.gone(join.wid, now)
+        self._joins[join.wid] = join
+        if self.dispatch.is_drained(join.wid):
+            self._put(self._keys.ctl(join.wid), Control(epoch=self.epoch, drain=True), Channel.CONTROL)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
         answer.set_result(codec.encode(Joined(epoch=self.epoch, drop=drop)))
 
@@ -170,9 +180,11 @@ class Turn:
         """Give up who is overdue, ask what may be asked, send what was found, and lease what waits."""
         for lost in self.dispatch.tick(now):
             log.info("gave a worker up", worker=lost.wid[:8], reason=lost.reason, requeued=lost.batches)
+            here = {member.wid for member in self.dispatch.members}
+            self._joins = {wid: join for wid, join in self._joins.items() if wid in here}
         for lane in self._lanes:
             self._move(lane, now)
-        for lease in self.dispatch.leases(now):
+        for lease in [] if self.is_paused or self.is_ending else self.dispatch.leases(now):
             self._put(self._keys.work(lease.wid), lease.work(self.epoch), Channel.DATA)
 
     def next_deadline(self) -> float:
@@ -182,13 +194,16 @@ class Turn:
     @property
     def wants_more(self) -> bool:
         """Whether so little work waits that another run should be opened."""
-        return self.dispatch.queued_seconds < AHEAD_SECONDS * self.dispatch.workers
+        return not self.is_ending and self.dispatch.queued_seconds < AHEAD_SECONDS * self.dispatch.workers
 
     def _move(self, lane: Lane, now: float) -> None:
         """Ask what may be asked of a run, unless the recorder is far behind; send what it has found."""
-        while not lane.record.is_full and (generation := lane.pipeline.ask()) is not None:
+        while self._may_ask(lane) and (generation := lane.pipeline.ask()) is not None:
             self._submit(lane, generation)
         lane.record.tick(now)
+
+    def _may_ask(self, lane: Lane) -> bool:
+        return not (self.is_ending or lane.record.is_full)
 
     def _submit(self, lane: Lane, generation: Generation) -> None:
         self.dispatch.submit(
@@ -199,6 +214,35 @@ class Turn:
             generation.indices,
             generation.trials,
             generation.genomes,
+        )
+
+    # Those who administer the job are obeyed.
+
+    def workers(self, now: float) -> list[WorkerFigures]:
+        """The workers, in the order in which they joined."""
+        return [self._figures(member, now) for member in self.dispatch.members]
+
+    def drain(self, wid: str) -> None:
+        """Have a worker finish what it holds, and leave."""
+        self.dispatch.drain(wid)
+        self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drain=True), Channel.CONTROL)
+
+    def end(self) -> None:
+        """Ask and lease nothing any more, and take back what is out; what was found is still recorded."""
+        self.is_ending = True
+        for lane in self._lanes:
+            self._withdraw(lane.run)
+
+    def _figures(self, member: Member, now: float) -> WorkerFigures:
+        join = self._joins[member.wid]
+        return WorkerFigures(
+            wid=member.wid,
+            host=join.host,
+            pid=join.pid,
+            state=member.state,
+            batches=len(member.batches),
+            rows=member.rows,
+            seconds=now - member.since,
         )
 
     def _withdraw(self, run: str) -> None:

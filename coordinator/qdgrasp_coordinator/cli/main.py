@@ -5,6 +5,7 @@ import logging
 import typer
 
 from qdgrasp_coordinator.cli import (
+    administer,
     analyse,
     asset,
     bench,
@@ -14,6 +15,7 @@ from qdgrasp_coordinator.cli import (
     doctor,
     evaluate,
     info,
+    jobs,
     methods,
     reference,
     rerank,
@@ -39,6 +41,11 @@ app.command()(rerank.rerank)
 app.command()(methods.methods)
 app.command()(doctor.doctor)
 app.command()(bench.bench)
+app.command()(jobs.jobs)
+app.command()(administer.pause)
+app.command("continue")(administer.continue_)
+app.command()(administer.cancel)
+app.command()(administer.drain)
 app.add_typer(asset.app, name="asset")
 app.add_typer(reference.app, name="reference")
 app.add_typer(security.app, name="security")
