@@ -24,12 +24,15 @@ log = logging.getLogger(__name__)
 THRESHOLDS = (0.1, 0.05, 0.025)
 """CoACD's concavities in the order in which they are tried: the first whose parts fit is taken."""
 TIME_LIMIT = 1200.0  # s, for all of them; a scan of 16 000 triangles takes some minutes
+_unfinished: dict[str, tuple[Mesh, ...]] = {}
+"""What was found of meshes before time ran out: this process takes it again, and others try anew."""
 
 
 def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple[Mesh, ...]:
     """Convex parts that together stand for a mesh, in its frame; the same mesh gives the same parts.
 
-    Where no parts fit, or time runs out, the finest there are are taken, with a warning.
+    Where no parts fit, or time runs out, the finest there are are taken, with a warning. Those for which time
+    ran out are not kept on disk.
 
     Parameters
     ----------
@@ -55,7 +58,10 @@ def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple
     )
     cached = _cached(mesh)
     _make_folder(cached.parent, name)
-    _keep(_coarsest(mesh, name, time_limit), cached, name)
+    parts, is_final = _coarsest(mesh, name, time_limit)
+    if not is_final:
+        return _unfinished.setdefault(_key(mesh), parts)
+    _keep(parts, cached, name)
     return read_parts(cached)
 
 
@@ -69,7 +75,7 @@ def parts_at_hand(mesh: Mesh) -> tuple[Mesh, ...] | None:
     if is_convex(mesh):
         return (simple(hull(mesh.vertices)),)
     cached = _cached(mesh)
-    return read_parts(cached) if cached.is_file() else None
+    return read_parts(cached) if cached.is_file() else _unfinished.get(_key(mesh))
 
 
 def is_convex(mesh: Mesh) -> bool:
@@ -77,8 +83,8 @@ def is_convex(mesh: Mesh) -> bool:
     return Room(mesh).fit((hull(mesh.vertices),)).is_good
 
 
-def _coarsest(mesh: Mesh, name: str, time_limit: float) -> tuple[Mesh, ...]:
-    """The fewest parts that fit, or the last that were found."""
+def _coarsest(mesh: Mesh, name: str, time_limit: float) -> tuple[tuple[Mesh, ...], bool]:
+    """The fewest parts that fit, or the last that were found; and whether there was time for all."""
     space, deadline = Room(mesh), time.monotonic() + time_limit
     found: tuple[Mesh, ...] = ()
     for threshold in THRESHOLDS:
@@ -87,20 +93,26 @@ def _coarsest(mesh: Mesh, name: str, time_limit: float) -> tuple[Mesh, ...]:
         except TookTooLong:
             if not found:
                 raise TookTooLong(name, time_limit) from None
-            break
+            _warn(name, found, space, "there was no time for finer ones, which the next command tries again")
+            return found, False
         if space.fit(found).is_good:
-            return found
-    fit = space.fit(found)
+            return found, True
+    _warn(name, found, space, "finer ones are not tried")
+    return found, True
+
+
+def _warn(name: str, parts: tuple[Mesh, ...], space: Room, reason: str) -> None:
+    """Say what parts that do not fit do to grasps, and why there are no finer ones."""
+    fit = space.fit(parts)
     log.warning(
         "The %d convex parts of '%s' fill the room in front of %.0f %% of its surface, and leave %.0f %% "
         "of it out, where grasps may be lost; %s.",
-        len(found),
+        len(parts),
         name,
         100 * fit.filled,
         100 * fit.bare,
-        "there was no time for finer ones" if time.monotonic() > deadline else "finer ones are not tried",
+        reason,
     )
-    return found
 
 
 def _cached(mesh: Mesh) -> Path:

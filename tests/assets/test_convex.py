@@ -31,6 +31,7 @@ def angle() -> Mesh:
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(convex, "_unfinished", {})
     return tmp_path / "cache"
 
 
@@ -129,6 +130,22 @@ def test_where_time_runs_out_the_finest_found_are_taken_with_a_warning(found, ca
     with caplog.at_level(logging.WARNING):
         assert len(convex_parts(surface, "mug", time_limit=0.0)) == 1
     assert "no time for finer ones" in caplog.text
+
+
+def test_parts_for_which_time_ran_out_serve_this_process_and_are_tried_again_by_the_next(
+    found, cache, monkeypatch
+):
+    surface, own = mug()
+    coarse = hull(surface.vertices)
+    found.update({THRESHOLDS[0]: (coarse,), THRESHOLDS[1]: TookTooLong("mug", 1.0)})
+    assert convex_parts(surface, "mug") == (coarse,)
+    assert not list((cache / "convex").iterdir())
+    found.clear()
+    assert convex_parts(surface, "mug") == (coarse,)
+    monkeypatch.setattr(convex, "_unfinished", {})
+    found[THRESHOLDS[0]] = own
+    assert len(convex_parts(surface, "mug")) == len(own)
+    assert len(list((cache / "convex").iterdir())) == 1
 
 
 def test_a_decomposition_that_takes_too_long_is_an_error_that_says_what_to_do(angle, cache):
