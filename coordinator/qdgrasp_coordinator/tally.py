@@ -29,9 +29,15 @@ def counted(rows: Rows, overlaps: Overlaps) -> NDArray[np.bool_]:
     return nominal if overlaps == "count" else nominal & (rows["outcome"] >= Outcome.MISSED)
 
 
+def successful(rows: Rows) -> NDArray[np.bool_]:
+    """Which rows are nominal successes, what archives, coverage and figures count: (n,)."""
+    found: NDArray[np.bool_] = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
+    return found
+
+
 def successes(rows: Rows) -> Rows:
-    """The nominal successes among rows, in their order: what archives, coverage and figures count."""
-    found: Rows = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
+    """The nominal successes among rows, in their order."""
+    found: Rows = rows[successful(rows)]
     return found
 
 

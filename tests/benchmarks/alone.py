@@ -26,7 +26,6 @@ from qdgrasp_coordinator.space import space
 from qdgrasp_coordinator.tally import counted
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.genome import Genomes
-from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.trials import trials
@@ -55,8 +54,7 @@ class Alone:
 
     @property
     def finds(self) -> Finds:
-        found = (self.rows["trial"] == 0) & (self.rows["outcome"] >= Outcome.DROPPED)
-        return Finds(self.rows[found], self.evaluations[found])
+        return Finds.among(self.rows, self.spec.overlaps)
 
     def coverage(self, evaluations: Sequence[int], fitness: int = 0) -> NDArray[np.float64]:
         """The share of S_G after so many evaluations, each cell with this fitness; NaN without a set."""

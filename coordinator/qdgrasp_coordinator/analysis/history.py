@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +20,7 @@ from qdgrasp_coordinator.analysis.released import ReleasedArchive
 from qdgrasp_coordinator.analysis.target import Target
 from qdgrasp_coordinator.cells import cells, keys
 from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.tally import counted, tally
-from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_coordinator.tally import counted, successful, tally
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 from qdgrasp_protocol.trials import trials
@@ -66,6 +66,13 @@ class Finds:
     """(n,)."""
     evaluations: NDArray[np.int64]
     """(n,): counted evaluations so far, itself included."""
+
+    @classmethod
+    def among(cls, rows: Rows, overlaps: Overlaps, before: int = 0) -> Self:
+        """Those among rows in journal order, before which their run counted so many evaluations."""
+        evaluations = before + np.cumsum(counted(rows, overlaps))
+        success = successful(rows)
+        return cls(rows[success], evaluations[success])
 
     @property
     def nu(self) -> NDArray[np.float64]:
@@ -213,8 +220,6 @@ def _finding(blocks: Iterable[Rows], overlaps: Overlaps, found: list[Finds]) -> 
     """The same blocks; what each one found is added as it passes."""
     before = 0
     for block in blocks:
-        evaluations = before + np.cumsum(counted(block, overlaps))
-        success = (block["trial"] == 0) & (block["outcome"] >= Outcome.DROPPED)
-        found.append(Finds(block[success], evaluations[success]))
-        before = int(evaluations[-1]) if len(evaluations) else before
+        found.append(Finds.among(block, overlaps, before))
+        before += int(counted(block, overlaps).sum())
         yield block

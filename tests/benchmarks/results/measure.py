@@ -113,14 +113,8 @@ def figures(folder: RunFolder, rows: Rows, known: ReferenceSet | None) -> Figure
         "niches": various.niches,
         "robust_niches": various.robust_niches,
         "orientations": various.orientations,
-        **(covered(finds(rows, spec), known, total.evaluations) if known else {}),
+        **(covered(Finds.among(rows, spec.overlaps), known, total.evaluations) if known else {}),
     }
-
-
-def finds(rows: Rows, spec: RunSpec) -> Finds:
-    """The nominal successes among rows."""
-    success = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
-    return Finds(rows[success], np.cumsum(counted(rows, spec.overlaps))[success])
 
 
 def covered(found: Finds, known: ReferenceSet, evaluations: int) -> Figures:

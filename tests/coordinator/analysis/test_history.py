@@ -33,6 +33,18 @@ def finds(rows: Rows) -> Finds:
     return Finds(rows[success], 1 + np.flatnonzero(success))
 
 
+def test_finds_are_nominal_successes_numbered_by_the_evaluations_that_count() -> None:
+    rows = random_rows(200, seed=5)
+    rows["trial"][::3] = 1
+    counts = (rows["trial"] == 0) & (rows["outcome"] > Outcome.OVERLAP)
+    found = Finds.among(rows, "redraw", before=1000)
+    expected = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
+    assert found.rows.tobytes() == expected.tobytes()
+    assert found.evaluations[-1] <= 1000 + counts.sum()
+    later = Finds.among(rows[80:], "redraw", before=1000 + int(counts[:80].sum()))
+    assert found.evaluations[-len(later.rows) :].tolist() == later.evaluations.tolist()
+
+
 def at_once(rows: Rows) -> tuple[object, ...]:
     """What `coverage` says of rows as a whole."""
     found = rows[rows["outcome"] >= Outcome.DROPPED]
