@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.benchmarks.results import table as tables
@@ -12,12 +13,19 @@ from tests.benchmarks.results.duel_part import duel_part
 from tests.benchmarks.results.page import page
 from tests.benchmarks.results.programme import Programme, Wanted, programme
 from tests.benchmarks.results.row import Row
-from tests.results.make_rows import row
+from tests.results import make_rows
+from tests.results.make_rows import BEFORE, TODAY
 
 from qdgrasp_protocol.spec import RunSpec
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
 CUBE = {"gripper": "ref_panda_2f", "object": "ycb_rubiks_cube", "protocol": "released", "overlaps": "redraw"}
+
+
+def row(method: str = "aimed", seed: int = 0, **values: Any) -> Row:
+    """A finished run of the default method or another, with that method's own settings."""
+    settings = "population=50" if method == "aimed" else ""
+    return make_rows.row(method, seed, **{"settings": settings, **values})
 
 
 def of(*rows: Row, absent: tuple[Row, ...] = ()) -> tuple[Programme, dict]:
@@ -30,7 +38,8 @@ def _spec(one: Row) -> RunSpec:
     named = {
         name: getattr(one, name) for name in ("gripper", "object", "protocol", "method", "overlaps", "seed")
     }
-    return RunSpec(**named, evaluations=one.budget)
+    settings = {"population": int(one.settings.removeprefix("population="))} if one.settings else {}
+    return RunSpec(**named, **settings, evaluations=one.budget)
 
 
 def cells(text: str, first: str) -> list[str]:
@@ -71,7 +80,7 @@ class TestCoverage:
     def test_it_has_median_range_and_what_is_aimed_at(self) -> None:
         line = cells(self.text(*self.found), "ref_panda_2f")
         assert "84.0 (80.0 to 86.0)" in line
-        assert line[-1] == "50 at 5,000: met, 85 at 10,000: **short**"
+        assert line[-2] == "50 at 5,000: met, 85 at 10,000: **short**"
 
     def test_what_is_short_is_said_by_how_much(self) -> None:
         assert "1.0 points short of 85 % at 10,000" in self.text(*self.found)
@@ -83,7 +92,7 @@ class TestCoverage:
 
     def test_without_a_run_no_aim_is_met_or_missed(self) -> None:
         text = self.text(absent=self.found)
-        assert cells(text, "ref_panda_2f")[-1] == "50 at 5,000, 85 at 10,000"
+        assert cells(text, "ref_panda_2f")[-2] == "50 at 5,000, 85 at 10,000"
         assert "short" not in text
 
 
@@ -144,10 +153,40 @@ class TestDuels:
             "### 1,000 evaluations, every pose counted; default: overlaps redrawn",
         ]
 
+    def test_two_evaluation_codes_are_marked(self) -> None:
+        rows = [row(coverage=0.2, code=TODAY), row("me_scs", coverage=0.1, code=BEFORE)]
+        text = duel_part(arms(*of(*rows)))
+        assert cells(text, "panda")[-1] == f"`{TODAY[:6]}` / `{BEFORE[:6]}`"
+        assert "Of two evaluation codes: 1 of 1" in text
+
+    def test_one_evaluation_code_is_not(self) -> None:
+        text = self.text({0: 0.2}, {0: 0.1})
+        assert cells(text, "panda")[-1] == f"`{TODAY[:6]}`"
+        assert "Of two evaluation codes" not in text
+
+    def test_the_default_with_other_settings_is_another_method(self) -> None:
+        rows = [row(coverage=0.3), row(coverage=0.2, settings="population=70"), row("me_scs", coverage=0.1)]
+        text = duel_part(arms(*of(*rows)))
+        against = [line.split("|")[3].strip() for line in text.splitlines() if line.startswith("| panda")]
+        assert against == ["`aimed` (population=70)", "`me_scs`"]
+        assert coverage_part(arms(*of(row(settings="population=70", budget=10_000)))).count("| panda") == 0
+
+
+BESIDE_THE_AUTHORS = {"object": "ycb_rubiks_cube", "budget": 10_000}
+
+
+@pytest.mark.parametrize(
+    ("other", "times"),
+    [({}, "63.3"), ({"budget": 5000}, ""), ({"object": "ycb_mug"}, ""), ({"protocol": "released"}, "")],
+)
+def test_the_authors_rate_stands_beside_runs_like_theirs_alone(other: dict[str, Any], times: str) -> None:
+    found = row(**BESIDE_THE_AUTHORS | other, coverage=0.5, coverage_per_cpu_second=0.05)
+    assert cells(cpu_part(arms(*of(found))), "panda")[9] == times
+
 
 def test_the_ceiling_is_a_new_cell_with_every_success() -> None:
     found = row(
-        object="ycb_rubiks_cube", set_size=1000, coverage=0.5, cpu_seconds=10.0, coverage_per_cpu_second=0.05,
+        **BESIDE_THE_AUTHORS, set_size=1000, coverage=0.5, cpu_seconds=10.0, coverage_per_cpu_second=0.05,
         success_ms=10.0,
     )  # fmt: skip
     line = cells(cpu_part(arms(*of(found))), "panda")

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from tests.benchmarks.results.programme import Programme
 from tests.benchmarks.results.row import Key, Row
 
+from qdgrasp_coordinator.search import method
 from qdgrasp_protocol.spec import RunSpec
 
-DEFAULT = RunSpec(gripper="any", object="any").method
+ANY = RunSpec(gripper="any", object="any")
+DEFAULT = ANY.method
 """The method of a run that names none."""
 CODE = 6
 """Digits of a digest that tell it from others on a page."""
@@ -34,9 +36,14 @@ class Arm:
         return self.key.gripper, self.key.object, self.key.protocol
 
     @property
+    def method(self) -> str:
+        """The method, with those of its settings that are not as it has them."""
+        return f"`{self.key.method}`" + (f" ({', '.join(changes)})" if (changes := changed(self.key)) else "")
+
+    @property
     def is_default(self) -> bool:
-        """Whether its method is the default one."""
-        return self.key.method == DEFAULT
+        """Whether its method is the default one, with its own settings."""
+        return self.key.method == DEFAULT and not changed(self.key)
 
     @property
     def count(self) -> str:
@@ -68,6 +75,12 @@ def arms(known: Programme, table: Mapping[Key, Row]) -> list[Arm]:
         Arm(arm, tuple(one.seed for one in runs), {one.seed: table[one] for one in runs if one in table})
         for arm, runs in groups.items()
     ]
+
+
+def changed(key: Key) -> list[str]:
+    """The settings of a run that are not those of a campaign's run of its method."""
+    said = {f"population={ANY.population}"} if "population=" not in key.settings else set()
+    return sorted({*said, *key.settings.split()} - {f"population={method(key.method).population}"})
 
 
 def spread(values: NDArray[np.float64], digits: int = 1) -> str:

@@ -21,7 +21,7 @@ TARGETS = {
 COLUMNS = (
     "hand", "object", "protocol", "counting", "budget", "runs",
     *(f"{milestone:,}" for milestone in MILESTONES), "end",
-    "robust", "mean best fitness", "orientations", "aim",
+    "robust", "mean best fitness", "orientations", "aim", "code",
 )  # fmt: skip
 
 
@@ -47,7 +47,7 @@ def _line(arm: Arm) -> tuple[str, ...]:
         *(arm.words(f"coverage_{milestone // 1000}k", 100) for milestone in MILESTONES),
         arm.words("coverage", 100),
         arm.words("robust_coverage", 100), arm.words("mean_best", 1, 2), arm.words("orientations", 1, 2),
-        _aim(arm),
+        _aim(arm), arm.codes,
     )  # fmt: skip
 
 

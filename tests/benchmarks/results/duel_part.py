@@ -34,7 +34,7 @@ BESIDE = (
 VERDICT = ("difference", f"{LEVEL:.0%} interval", "verdict")
 COLUMNS = (
     "hand", "object", "against", "seeds", "of", "default", "other", *VERDICT,
-    *(figure.words for figure in BESIDE),
+    *(figure.words for figure in BESIDE), "code",
 )  # fmt: skip
 POOLED = ("hand", "against", "objects", "of", *VERDICT)
 
@@ -66,9 +66,20 @@ class Duel:
         )
 
     @property
+    def codes(self) -> str:
+        """The evaluation code of both, the default's first where they are not alike."""
+        ours, theirs = self.ours.codes, self.theirs.codes
+        return f"{ours} / {theirs}" if self.is_mixed else ours
+
+    @property
+    def is_mixed(self) -> bool:
+        """Whether not all runs are of one evaluation code."""
+        return len({row.code for arm in (self.ours, self.theirs) for row in arm.rows.values()}) > 1
+
+    @property
     def where(self) -> str:
         """The scene and the other method, for a person."""
-        return f"{self.theirs.key.method} with {self.ours.key.gripper} on {self.ours.key.object}"
+        return f"{self.theirs.method.replace('`', '')} with {self.ours.key.gripper} on {self.ours.key.object}"
 
 
 def duel(ours: Arm, theirs: Arm) -> Duel:
@@ -99,8 +110,9 @@ def duel_part(known: Sequence[Arm]) -> str:
         f"{RESAMPLES:,} resamples (over several objects: of objects and of the pairs on each). *Win* and "
         "*loss*: the whole interval is on one side of 0; with few seeds it is narrower than it says. Of the "
         "other figures the default's median stands first, then the other's; *orientations* is a mean over "
-        "all cells with a success, which whoever finds more cells lowers: read it beside *niches*.\n\n"
-        + "\n".join(_groups(known))
+        "all cells with a success, which whoever finds more cells lowers: read it beside *niches*. "
+        "*Code*: which evaluation code the runs are of; where it is not the same, the default's stands "
+        "first.\n\n" + "\n".join(_groups(known))
     )
 
 
@@ -121,10 +133,10 @@ def _groups(known: Sequence[Arm]) -> Iterator[str]:
 def _line(duel: Duel) -> tuple[str, ...]:
     figure, found = duel.figure, _interval([duel.differences(duel.figure)])
     return (
-        duel.ours.key.gripper, duel.ours.key.object, f"`{duel.theirs.key.method}`", str(len(duel.seeds)),
+        duel.ours.key.gripper, duel.ours.key.object, duel.theirs.method, str(len(duel.seeds)),
         figure.words, duel.ours.words(figure.name, figure.scale, figure.digits),
         duel.theirs.words(figure.name, figure.scale, figure.digits), *_number(found, figure), verdict(found),
-        *(_beside(duel, other) for other in BESIDE),
+        *(_beside(duel, other) for other in BESIDE), duel.codes,
     )  # fmt: skip
 
 
@@ -132,11 +144,11 @@ def _pooled(fought: Sequence[Duel]) -> Iterator[tuple[str, ...]]:
     """The same for each hand and method over its objects that have a figure alike."""
     groups: dict[tuple[str, str, Figure], list[Duel]] = {}
     for duel in fought:
-        groups.setdefault((duel.ours.key.gripper, duel.theirs.key.method, duel.figure), []).append(duel)
+        groups.setdefault((duel.ours.key.gripper, duel.theirs.method, duel.figure), []).append(duel)
     for (hand, method, figure), group in groups.items():
         if len(group) > 1:
             found = _interval([duel.differences(figure) for duel in group])
-            yield hand, f"`{method}`", str(len(group)), figure.words, *_number(found, figure), verdict(found)
+            yield hand, method, str(len(group)), figure.words, *_number(found, figure), verdict(found)
 
 
 def _losses(fought: Sequence[Duel]) -> Iterator[str]:
@@ -149,6 +161,8 @@ def _losses(fought: Sequence[Duel]) -> Iterator[str]:
         names = [words for words in behind if words]
         label = "coverage, or cells" if figure is None else figure.words.removesuffix(", %")
         yield f"- Behind in {label}: {'; '.join(names) if names else 'nowhere'}."
+    if mixed := sum(duel.is_mixed for duel in fought):
+        yield f"- Of two evaluation codes: {mixed} of {len(fought)}, whose difference may be the codes'."
 
 
 VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "one seed": "of one seed"}
