@@ -6,7 +6,6 @@ from pathlib import Path
 
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.crew import Crew
 from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.poses import Poses
@@ -17,6 +16,7 @@ from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.searches.given import Given
 from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_coordinator.supervisor import Team, Watch
+from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.rows import Rows

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from qdgrasp_coordinator.crew import Crew, Death
 from qdgrasp_coordinator.figures import JobFigures, from_json
 from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.progress import Display
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.crew import Crew, Death
 from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop

@@ -88,8 +88,8 @@ class Join(Message, frozen=True, kw_only=True):
     wid: Wid
     number: Count
     """Counts this worker's joins; the coordinator forgets what older ones were leased."""
-    credit: Annotated[int, Meta(ge=1, le=64)]
-    """How many batches may be outstanding."""
+    credit: Annotated[int, Meta(ge=0, le=64)]
+    """How many batches may be outstanding; 0: nothing more is to come, as the worker is about to leave."""
     held: list[BatchId]
     """Batches still held from before."""
     host: str

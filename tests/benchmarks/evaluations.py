@@ -21,7 +21,7 @@ from qdgrasp_coordinator.search import method
 from qdgrasp_coordinator.space import space
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.evaluate import Evaluator
-from qdgrasp_worker.service import SLICE
+from qdgrasp_worker.serving.child import SLICE
 
 WARM = 200
 """Genomes of the search before it is measured: by then it has found its first grasps."""

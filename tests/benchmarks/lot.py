@@ -12,7 +12,7 @@ from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_worker.evaluate import Evaluator
-from qdgrasp_worker.service import SLICE
+from qdgrasp_worker.serving.child import SLICE
 
 WATCHED = 0.5
 """Time under a watch, as a share of the time without."""

@@ -22,7 +22,7 @@ from qdgrasp_assets.genes import MOST_CANDIDATES, layout
 from qdgrasp_assets.scene import Scene, pack_scene, unpack_scene
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
-from qdgrasp_worker.service import SLICE
+from qdgrasp_worker.serving.child import SLICE
 from qdgrasp_worker.worlds import MOST, Worlds
 
 LOOKS = 20

@@ -16,7 +16,7 @@ from qdgrasp_coordinator.bench.regimes import PRIOR, Regime, Regimes
 from qdgrasp_coordinator.pace import FIRST_ROWS
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
-from qdgrasp_worker.service import SLICE
+from qdgrasp_worker.serving.child import SLICE
 
 HAND, OBJECT = "panda", "mug"
 PROCESSES = 2

@@ -34,7 +34,7 @@ from qdgrasp_protocol.messages import Join, Joined, Result, Work
 from qdgrasp_protocol.rows import Shape, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_worker.service import WORK_COLUMNS
+from qdgrasp_worker.serving.child import WORK_COLUMNS
 
 STAGES = ("joins", "asks for the scene", "answers")
 """What the worker does first, in this order."""

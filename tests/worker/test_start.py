@@ -7,9 +7,10 @@ import sys
 import pytest
 
 LISTED = "import json, sys; {}; print(json.dumps(sorted(sys.modules)))"
-SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.service, qdgrasp_protocol.zenoh_bus"
-JOIN = f"{SERVE}; from qdgrasp_worker.platform import platform; platform()"
-"""All that comes before a worker asks to join: its imports, and the probes in their scene."""
+SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.serving.service, qdgrasp_protocol.zenoh_bus"
+EVALUATE = "import qdgrasp_worker.serving.child; from qdgrasp_worker.platform import platform; platform()"
+"""All that comes before a worker asks to join: its simulator's imports, and the probes in their scene."""
+SIMULATION = {"pybullet", "numpy", "scipy"}
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "PIL", "ribs", "sklearn", "trimesh"}
 """What others need: meshes, pictures and searches; each takes a tenth of a second, some a whole one."""
 
@@ -22,17 +23,28 @@ def loaded(statements: str) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def joining() -> set[str]:
-    return loaded(JOIN)
+def worker() -> set[str]:
+    return loaded(SERVE)
 
 
-def test_a_worker_that_joins_has_loaded_the_simulator_and_the_bus(joining):
-    assert {"pybullet", "zenoh", "qdgrasp_worker.evaluate"} <= joining
+@pytest.fixture(scope="module")
+def simulator() -> set[str]:
+    return loaded(EVALUATE)
 
 
-def test_a_worker_that_joins_has_loaded_nothing_that_only_others_need(joining):
-    assert not joining & HEAVY
-    assert not [name for name in joining if name.startswith("qdgrasp_coordinator")]
+def test_a_worker_has_the_bus_and_neither_simulator_nor_arrays(worker):
+    assert "zenoh" in worker
+    assert not worker & SIMULATION
+
+
+def test_a_simulator_has_bullet_and_no_bus(simulator):
+    assert simulator >= SIMULATION
+    assert not simulator & {"zenoh", "typer", "structlog"}
+
+
+def test_neither_has_loaded_what_only_others_need(worker, simulator):
+    assert not (worker | simulator) & HEAVY
+    assert not [name for name in worker | simulator if name.startswith("qdgrasp_coordinator")]
 
 
 def test_a_worker_can_be_asked_for_help_without_simulator_bus_and_arrays():

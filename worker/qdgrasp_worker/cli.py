@@ -1,8 +1,9 @@
-"""`qdgrasp-worker`: one process that evaluates for the jobs on a bus."""
+"""`qdgrasp-worker`: evaluates for the jobs on a bus."""
 
 import json
 import os
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Annotated
 
 import structlog
@@ -18,39 +19,69 @@ from qdgrasp_protocol.logs import speak
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()
 
+MEGABYTE = 1_000_000
+
 
 @app.command()
 def worker(
+    context: typer.Context,
     connect: flags.Connect = None,
     security: flags.Security = None,
     job: Annotated[str | None, typer.Option(help="Serve this job only; default: every job there is.")] = None,
+    workers: Annotated[int, typer.Option(min=1, help="How many workers, on one core each.")] = 1,
     cache: Annotated[Path | None, typer.Option(help="Where scenes are kept between runs.")] = None,
     wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
+    grace: Annotated[
+        float, typer.Option(min=0, help="Seconds that the batch in work may still take after SIGTERM.")
+    ] = 1.5,
+    memory: Annotated[
+        int, typer.Option(min=300, help="Megabytes that a simulator may keep; above, another one is started.")
+    ] = 2000,
+    row_seconds: Annotated[
+        float, typer.Option(min=0.1, help="CPU seconds that an evaluation may take.")
+    ] = 30.0,
+    nice: Annotated[
+        int, typer.Option(min=0, max=19, help="How far simulators stand back behind other processes.")
+    ] = 10,
+    pin: Annotated[bool, typer.Option("--pin", help="Keep each of several workers on one core.")] = False,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Evaluate the probe set, print the platform as JSON, and end.")
     ] = False,
 ) -> None:
-    """Evaluate grasps for the jobs on a bus, with one simulator on one core.
+    """Evaluate grasps for the jobs on a bus, with one simulator on one core for each worker.
 
-    Example: qdgrasp-worker --connect tls/head:7447 --security security
+    It needs nothing but this package: scenes come over the bus. SIGTERM lets the batch in work be finished if
+    that fits into the grace, SIGINT (Ctrl-C) ends at once; nothing is lost either way.
+
+    Example: qdgrasp-worker --connect tls/head:7447 --security security --workers 4
     """
     with lifetime("qdgrasp-worker") as stop:
         for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(threads, "1")
-        from qdgrasp_worker.platform import platform  # after the threads are limited
-
         if self_test:
+            from qdgrasp_worker.platform import platform  # after the threads are limited
+
             typer.echo(json.dumps(platform()))
             return
         speak("worker")
-        from qdgrasp_protocol.zenoh_bus import ZenohBus
-        from qdgrasp_worker.bundles import Bundles
-        from qdgrasp_worker.service import WorkerService
+        if workers > 1:
+            from qdgrasp_worker.serving.team import Team, arguments
+
+            Team(workers, arguments(context), grace, is_pinned=pin).run(stop)
+            raise typer.Exit(stop.exit_code)
+        from qdgrasp_worker.serving.events import Inbox
+        from qdgrasp_worker.serving.workshop import Workshop
 
         credentials = Credentials.find(security, Role.WORKER)
-        with ZenohBus.connect(connect, wait, stop, credentials) as bus:
+        inbox: Inbox = SimpleQueue()
+        with Workshop.open(inbox.put, row_seconds, memory * MEGABYTE, nice) as workshop:
+            from qdgrasp_protocol.zenoh_bus import ZenohBus  # the first simulator starts meanwhile
+            from qdgrasp_worker.serving.bundles import Bundles
+            from qdgrasp_worker.serving.service import WorkerService
+
             bundles = Bundles(cache or cache_folder() / "scenes")
-            WorkerService(bus, stop, job=job, platform=platform(), bundles=bundles).run()
+            with ZenohBus.connect(connect, wait, stop, credentials) as bus:
+                WorkerService(bus, stop, workshop, inbox, bundles=bundles, job=job, grace=grace).run()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
 

@@ -15,7 +15,6 @@ from qdgrasp_coordinator.bench.figures import Pace, SceneFigures, pace, run_seco
 from qdgrasp_coordinator.bench.node import peak_memory
 from qdgrasp_coordinator.bench.regimes import PRIOR, Regime, Regimes
 from qdgrasp_coordinator.bench.stopwatch import Stopwatch
-from qdgrasp_coordinator.crew import Crew
 from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.preparation import scene_shape
@@ -26,6 +25,7 @@ from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_coordinator.supervisor import Watch
 from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.rows import Shape

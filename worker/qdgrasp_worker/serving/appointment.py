@@ -3,8 +3,9 @@
 Rule 2 of docs/bus.md, decided without a bus. Time is passed in, in seconds of any steady clock.
 """
 
+from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.messages import Joined
-from qdgrasp_worker.desk import Desk
+from qdgrasp_worker.serving.desk import Desk
 
 RETRY_FIRST, RETRY_LAST = 0.05, 2.0
 """Seconds between tries to join, before jitter."""
@@ -17,13 +18,24 @@ class Appointment:
         self.desk = Desk(job)
         self.alive = True
         """Whether a coordinator that it may follow is there."""
+        self.credit = 0
+        """The credit that was asked for last."""
+        self.is_asking = False
+        """A join is under way."""
+        self._is_refused = False
         self._patience = RETRY_FIRST
         self._join_at: float | None = None
+        self._held_up: list[Sample] = []
 
     @property
     def join_at(self) -> float | None:
         """When to ask to join; None: there is no need, or nobody to ask."""
-        return self._join_at if self.alive else None
+        return self._join_at if self.alive and not self.is_asking else None
+
+    @property
+    def has_share(self) -> bool:
+        """Whether this job has a share of the worker."""
+        return self.alive and not self._is_refused and not self.desk.is_draining
 
     def is_due(self, now: float) -> bool:
         """Whether it is to be asked now."""
@@ -39,20 +51,51 @@ class Appointment:
             self.desk.is_orphaned = True
 
     def join_soon(self, now: float) -> None:
-        """Ask to join, again if need be: the link is new, or a batch was handed back."""
+        """Ask to join, again if need be: the link is new, or the worker is to be known otherwise."""
+        self._is_refused = False
         self._patience = RETRY_FIRST
         self._join_at = now
 
+    def join_later(self, now: float, jitter: float) -> None:
+        """Ask to join, after a time that doubles, times the jitter."""
+        self._join_at = now + self._patience * jitter
+        self._patience = min(2 * self._patience, RETRY_LAST)
+
+    def set_credit(self, credit: int, now: float) -> None:
+        """Ask to join again if the credit is another one than was asked for last."""
+        if self.desk.has_joined and not self._is_refused and credit != self.credit:
+            self.join_soon(now)
+
+    def ask(self, credit: int) -> int:
+        """Begin a join; gives its number."""
+        self.is_asking = True
+        self.credit = credit
+        self._join_at = None
+        return self.desk.joining()
+
+    def hold_up(self, sample: Sample) -> bool:
+        """Keep a message that came while a join is under way: its answer decides what that is worth."""
+        if self.is_asking:
+            self._held_up.append(sample)
+        return self.is_asking
+
+    def let_go(self) -> list[Sample]:
+        """The messages that were kept, in their order."""
+        samples, self._held_up = self._held_up, []
+        return samples
+
     def answered(self, answer: Joined) -> bool:
         """Take the answer to a join; False when it comes from an older coordinator than the one known."""
-        self._join_at = None
+        self.is_asking = False
+        self._patience = RETRY_FIRST
         return self.desk.joined(answer)
 
     def unanswered(self, now: float, jitter: float) -> None:
         """Hear that nobody answered: ask again later, after a time that doubles, times the jitter."""
-        self._join_at = now + self._patience * jitter
-        self._patience = min(2 * self._patience, RETRY_LAST)
+        self.is_asking = False
+        self.join_later(now, jitter)
 
     def refused(self) -> None:
         """Hear that the job does not take this worker: ask no more until something changes."""
-        self._join_at = None
+        self.is_asking = False
+        self._is_refused = True

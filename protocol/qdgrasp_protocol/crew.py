@@ -9,7 +9,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -30,13 +31,16 @@ class Member:
 
     name: str
     arguments: list[str]
-    log: Path
+    log: Path | None
+    """Where it speaks; None: where this process does."""
     process: subprocess.Popen[bytes]
     started: float
     restarts: int = 0
     restart_at: float | None = None
     log_start: int = 0
     """Where in the log this process began to write."""
+    core: int | None = None
+    """The core that it is kept on; None: any."""
 
 
 @dataclass(frozen=True)
@@ -61,20 +65,30 @@ def back_off(restarts: int) -> float:
 
 
 class Crew:
-    """Processes by name, each with a log file in `logs`."""
+    """Processes by name.
 
-    def __init__(self, logs: Path) -> None:
+    Parameters
+    ----------
+    logs
+        Where each has a log file; None: they speak where this process does.
+    grace
+        Seconds that they may take to stop.
+    """
+
+    def __init__(self, logs: Path | None, grace: float = GRACE) -> None:
         self._logs = logs
+        self._grace = grace
         self._members: dict[str, Member] = {}
 
-    def hire(self, name: str, module: str, arguments: Iterable[str]) -> None:
-        """Start `python -m module arguments` as the member `name`."""
-        self._logs.mkdir(parents=True, exist_ok=True)
+    def hire(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
+        """Start `python -m module arguments` as the member `name`, on one core or on any."""
         command = [sys.executable, "-m", module, *arguments]
-        log = self._logs / f"{name}.log"
-        began = log.stat().st_size if log.exists() else 0
+        log = self._log(name)
+        began = log.stat().st_size if log is not None and log.exists() else 0
         started = time.monotonic()
-        self._members[name] = Member(name, command, log, _start(command, log), started, log_start=began)
+        self._members[name] = Member(
+            name, command, log, _start(command, log, core), started, log_start=began, core=core
+        )
 
     def deaths(self) -> list[Death]:
         """The members that ended since the last look, and are not to be started again yet."""
@@ -100,12 +114,14 @@ class Crew:
         """Start the dead members whose back-off is over."""
         for member in self._members.values():
             if member.restart_at is not None and member.restart_at <= now:
-                member.process, member.started = _start(member.arguments, member.log), now
+                member.process, member.started = _start(member.arguments, member.log, member.core), now
                 member.restart_at = None
 
     def last_words(self, name: str) -> str:
         """The sentence with which a member ended; empty where it ended without one."""
         member = self._members[name]
+        if member.log is None:
+            return ""
         try:
             said = member.log.read_bytes()[member.log_start :].decode(errors="replace")
         except OSError:
@@ -122,12 +138,12 @@ class Crew:
         """The process ids of the members that live."""
         return {m.name: m.process.pid for m in self._members.values() if m.process.poll() is None}
 
-    def dismiss(self) -> None:
-        """End every member: politely, then, after `GRACE` seconds, by force."""
+    def dismiss(self, number: int = signal.SIGTERM) -> None:
+        """End every member: politely, by a signal, then, after the grace, by force."""
         alive = [member.process for member in self._members.values() if member.process.poll() is None]
         for process in alive:
-            process.terminate()
-        deadline = time.monotonic() + GRACE
+            process.send_signal(number)
+        deadline = time.monotonic() + self._grace
         for process in alive:
             try:
                 process.wait(max(0.0, deadline - time.monotonic()))
@@ -145,10 +161,16 @@ class Crew:
     ) -> None:
         self.dismiss()
 
+    def _log(self, name: str) -> Path | None:
+        if self._logs is None:
+            return None
+        self._logs.mkdir(parents=True, exist_ok=True)
+        return self._logs / f"{name}.log"
 
-def _start(command: list[str], log: Path) -> subprocess.Popen[bytes]:
+
+def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
     """Start a process that lives only as long as we do, in a session of its own, so that Ctrl-C is ours."""
-    with log.open("ab") as file:
+    with nullcontext() if log is None else log.open("ab") as file, _on(core):
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -162,3 +184,15 @@ def _start(command: list[str], log: Path) -> subprocess.Popen[bytes]:
 def _close(pipe: IO[bytes] | None) -> None:
     if pipe is not None:
         pipe.close()
+
+
+@contextmanager
+def _on(core: int | None) -> Iterator[None]:
+    """Keep this process on a core while it starts another, which stays there."""
+    cores = os.sched_getaffinity(0)
+    if core is not None:
+        os.sched_setaffinity(0, {core})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from qdgrasp_coordinator.crew import BACK_OFF_LAST, Crew, Death, back_off
+from qdgrasp_protocol.crew import BACK_OFF_LAST, Crew, Death, back_off
 from qdgrasp_protocol.lifetime import SUPERVISED
 
 

@@ -18,13 +18,21 @@ class Desk:
         self.number = 0
         self.is_orphaned = False
         """Its coordinator is gone; whoever comes next may count epochs anew."""
+        self.is_draining = False
+        """Its coordinator asked this worker to finish what it holds, and to leave."""
         self.dropped = 0
         self._held: OrderedDict[bytes, Work] = OrderedDict()
+        self._begun: set[bytes] = set()
 
     @property
     def held(self) -> list[bytes]:
         """The batches that are leased and not yet answered, in the order they came."""
         return list(self._held)
+
+    @property
+    def has_joined(self) -> bool:
+        """A coordinator that is there has let this worker in."""
+        return self.epoch >= 0 and not self.is_orphaned
 
     def joining(self) -> int:
         """Begin another join; returns its number."""
@@ -37,6 +45,7 @@ class Desk:
             return False
         if answer.epoch != self.epoch:
             self._held.clear()
+            self.is_draining = False
         self.epoch = answer.epoch
         self.is_orphaned = False
         self._drop(answer.drop)
@@ -55,17 +64,39 @@ class Desk:
         return True
 
     def control(self, message: Control) -> None:
-        """Drop the batches that the coordinator takes back."""
+        """Drop the batches that the coordinator takes back, and begin to leave where it asks for that."""
         if message.epoch == self.epoch:
             self._drop(message.drop)
+            self.is_draining |= message.drain
+
+    def holds(self, batch: bytes) -> bool:
+        """Whether the result of a batch is waited for."""
+        return batch in self._held
+
+    @property
+    def waiting(self) -> list[Work]:
+        """The batches that are held and not begun, in the order they came."""
+        return [work for batch, work in self._held.items() if batch not in self._begun]
 
     def next(self) -> Work | None:
-        """The batch to evaluate now; it stays held until it is answered or released."""
-        return next(iter(self._held.values()), None)
+        """The batch to begin now; None: none waits."""
+        return next(iter(self.waiting), None)
+
+    def begin(self) -> Work | None:
+        """The batch to begin now, as begun; it stays held until it is answered or released."""
+        work = self.next()
+        if work is not None:
+            self._begun.add(work.batch)
+        return work
 
     def release(self, batch: bytes) -> None:
         """Forget a batch: its result is sent, or cannot be had here."""
         self._held.pop(batch, None)
+        self._begun.discard(batch)
+
+    def hand_back(self, keep: bytes | None) -> None:
+        """Forget all batches but one; the next join, which lists what is held, has others evaluate them."""
+        self._drop([batch for batch in self._held if batch != keep])
 
     def _drop(self, batches: list[bytes]) -> None:
         for batch in batches:

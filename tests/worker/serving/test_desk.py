@@ -1,25 +1,10 @@
 """What a worker holds of a job, and what it lets go."""
 
 import pytest
+from tests.worker.serving.batches import work
 
-from qdgrasp_protocol.messages import Control, Joined, Work
-from qdgrasp_worker.desk import Desk
-
-
-def work(batch: int, epoch: int = 1, join: int = 1) -> Work:
-    return Work(
-        epoch=epoch,
-        run="run",
-        scene="0" * 64,
-        prior="contact",
-        generation=0,
-        batch=bytes([batch]) * 16,
-        attempt=1,
-        join=join,
-        n=1,
-        genes=1,
-        columns={},
-    )
+from qdgrasp_protocol.messages import Control, Joined
+from qdgrasp_worker.serving.desk import Desk
 
 
 def answer(epoch: int = 1, drop: tuple[int, ...] = ()) -> Joined:

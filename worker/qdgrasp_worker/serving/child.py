@@ -1,0 +1,186 @@
+"""The simulator: a process that evaluates what its worker sends, and may die of it.
+
+It holds Bullet and no session on the bus. Started as `python -m qdgrasp_worker.serving.child`, with the line
+to its worker as standard input; whatever prints, prints to standard error.
+"""
+
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+import numpy as np
+from setproctitle import setproctitle
+
+from qdgrasp_assets.scene import unpack_scene
+from qdgrasp_protocol.errors import InputError, MessageError
+from qdgrasp_protocol.messages import Failure, short
+from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, Shape, pack, unpack
+from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.platform import platform
+from qdgrasp_worker.serving import limits
+from qdgrasp_worker.serving.frames import (
+    Begun,
+    Broken,
+    Evaluate,
+    Frame,
+    Lacking,
+    Part,
+    Ready,
+    Settings,
+    Unfit,
+    decode,
+    encode,
+)
+from qdgrasp_worker.serving.line import Line
+from qdgrasp_worker.worlds import Worlds
+
+SLICE = 16
+"""Rows evaluated at once; evaluation is pure, so slicing changes nothing."""
+TELL_INTERVAL = 0.1  # seconds between two parts of a batch, at least
+WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
+F = TypeVar("F", bound=Frame)
+Load = Callable[[bytes], Evaluator]
+"""Makes an evaluator of a scene's bundle."""
+
+
+class Child:
+    """Evaluates batches in their order.
+
+    Parameters
+    ----------
+    row_seconds
+        The CPU seconds that a slice of rows, or loading a scene, may take.
+    load
+        Makes evaluators.
+    """
+
+    def __init__(self, line: Line, row_seconds: float, load: Load) -> None:
+        self._line = line
+        self._row_seconds = row_seconds
+        self._load = load
+        self._worlds = Worlds()
+
+    def answer(self, request: Evaluate) -> None:
+        """Evaluate rows, and tell what they gave."""
+        if request.bundle is None and request.scene not in self._worlds:
+            self._say(Lacking())
+            return
+        try:
+            self._evaluate(self._evaluator(request), request)
+        except (InputError, MessageError) as error:
+            self._say(Unfit(reason=str(error)))
+
+    def _evaluator(self, request: Evaluate) -> Evaluator:
+        def load() -> Evaluator:
+            with limits.time_limit(self._row_seconds):
+                return self._load(request.bundle or b"")
+
+        evaluator = self._worlds.get(request.scene, load)
+        if request.bundle is not None:
+            self._say(Begun())
+        return evaluator
+
+    def _evaluate(self, evaluator: Evaluator, request: Evaluate) -> None:
+        """Evaluate rows, slice by slice, and tell them at intervals."""
+        shape = evaluator.shape(request.prior)
+        rows = read(request, shape)
+        failures: list[Failure] = []
+        told, told_at, began = 0, time.monotonic(), time.process_time()
+        for place in slices(request.n, 1 if request.is_careful else SLICE):
+            with limits.time_limit(self._row_seconds):
+                found = evaluator.evaluate(request.prior, rows["genome"][place], rows["trial"][place])
+            _copy_results(found.rows, rows[place])
+            first = place.start - told
+            failures += [Failure(row=first + row, reason=short(reason)) for row, reason in found.failures]
+            now = time.monotonic()
+            if request.is_careful or place.stop == request.n or now > told_at + TELL_INTERVAL:
+                ended = time.process_time()
+                self._say(part(rows[told : place.stop], shape, failures, ended - began))
+                failures, told, told_at, began = [], place.stop, now, ended
+
+    def _say(self, frame: Frame) -> None:
+        self._line.send(encode(frame))
+
+
+def read(request: Evaluate, shape: Shape) -> Rows:
+    """Rows with the keys and genomes of a request.
+
+    Raises
+    ------
+    MessageError
+        They are not of this shape.
+    """
+    if request.genes != shape.genes:
+        raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")
+    return unpack(shape.empty(request.n), WORK_COLUMNS, request.columns, shape)
+
+
+def part(rows: Rows, shape: Shape, failures: list[Failure], seconds: float) -> Part:
+    """What rows gave, and what that cost [CPU s]."""
+    return Part(
+        n=len(rows),
+        joints=shape.joints,
+        descriptors=shape.descriptors,
+        columns=pack(rows, RESULT),
+        failures=failures,
+        cpu_seconds=seconds,
+    )
+
+
+def slices(n: int, most: int) -> Iterator[slice]:
+    """Cut n rows into pieces of at most `most`."""
+    for start in range(0, n, most):
+        yield slice(start, min(start + most, n))
+
+
+def _copy_results(source: Rows, target: Rows) -> None:
+    for column in RESULT:
+        target[column.name] = np.asarray(source[column.name])
+
+
+def load_scene(bundle: bytes) -> Evaluator:
+    """The evaluator of a scene."""
+    return Evaluator(unpack_scene(bundle))
+
+
+def serve(line: Line, load: Load) -> None:
+    """Evaluate the probes, and then what comes, until the line ends."""
+    settings = _hear(line, Settings)
+    if settings is None:
+        return
+    limits.limit_memory(settings.memory)
+    limits.stand_back(settings.nice)
+    line.send(encode(Ready(platform=platform())))
+    child = Child(line, settings.row_seconds, load)
+    while (request := _hear(line, Evaluate)) is not None:
+        child.answer(request)
+
+
+def main(load: Load = load_scene) -> None:
+    """Entry point of the simulator; `load` is another one's in tests."""
+    limits.heed_the_starter_alone()
+    setproctitle("qdgrasp-simulator")
+    line = Line(socket.socket(fileno=sys.stdin.fileno()))
+    try:
+        serve(line, load)
+    except (BrokenPipeError, ConnectionResetError):
+        sys.exit(0)  # the worker is gone
+    except Exception as error:  # noqa: BLE001 - whatever it is, the worker is told
+        line.send(encode(Broken(reason=f"{type(error).__name__}: {error}")))
+        sys.exit(1)
+
+
+def _hear(line: Line, kind: type[F]) -> F | None:
+    data = line.receive()
+    if data is None:
+        return None
+    frame = decode(data)
+    if not isinstance(frame, kind):
+        raise MessageError(f"expected {kind.__name__}, got {type(frame).__name__}")
+    return frame
+
+
+if __name__ == "__main__":
+    main()

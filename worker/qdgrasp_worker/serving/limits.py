@@ -1,0 +1,45 @@
+"""What a simulator may take, held by the kernel: a call into C cannot put these limits off."""
+
+import ctypes
+import os
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+STALL = 10
+"""So many times its limit of CPU seconds something may take on the clock, on a machine that others use."""
+TIME_OVER = (signal.SIGPROF, signal.SIGALRM)
+"""What ends a simulator that passed its limit: on the CPU, on the clock."""
+_PR_SET_PDEATHSIG = 1
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """End this process if what follows takes more than so many CPU seconds."""
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.setitimer(signal.ITIMER_REAL, STALL * seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def limit_memory(size: int) -> None:
+    """Let this process have at most `size` bytes of memory of its own; what asks for more fails."""
+    with suppress(ValueError, OSError):  # a lower limit stands already
+        resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def stand_back(nice: int) -> None:
+    """Leave the processor to others that want it, 0 (not at all) to 19."""
+    os.nice(nice)
+
+
+def heed_the_starter_alone() -> None:
+    """End with the process that started this one, and by nothing that is meant for a whole group."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)

@@ -1,0 +1,279 @@
+"""The worker on the bus: join, evaluate, answer.
+
+One thread does everything; callbacks of the bus, the simulator and errands only fill its inbox, and it waits
+for nothing else. A worker has no state but caches: whatever it loses is evaluated again elsewhere, with the
+same bytes.
+"""
+
+import json
+import secrets
+import signal
+import socket
+import time
+from contextlib import ExitStack
+from math import inf
+from queue import Empty
+
+import structlog
+
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.bus import Bus, Channel, Sample
+from qdgrasp_protocol.errors import BusError, MessageError
+from qdgrasp_protocol.keys import AnyJob, Keys, job_of
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.messages import Control, Work
+from qdgrasp_worker.serving.appointments import Appointments
+from qdgrasp_worker.serving.bundles import Bundles
+from qdgrasp_worker.serving.desk import Desk
+from qdgrasp_worker.serving.errands import Answered, Errands, Fetched
+from qdgrasp_worker.serving.events import Asked, CoordinatorSeen, Event, Inbox, LinkChanged
+from qdgrasp_worker.serving.leave import Leave
+from qdgrasp_worker.serving.memberships import Memberships, jitter
+from qdgrasp_worker.serving.scenes import Scenes
+from qdgrasp_worker.serving.simulator import Ended, Heard
+from qdgrasp_worker.serving.task import Task
+from qdgrasp_worker.serving.workshop import Outcome, Workshop
+
+log = structlog.get_logger()
+
+SIGN_INTERVAL = 1.0  # seconds between two signs of progress
+
+
+class WorkerService:
+    """Serves the jobs on a bus until it is asked to stop.
+
+    Parameters
+    ----------
+    bus
+        An open session.
+    workshop
+        Evaluates; its news come to `inbox`.
+    inbox
+        What this service waits on.
+    bundles
+        Where scenes come from.
+    job
+        The only job to serve; None: every job there is.
+    grace
+        Seconds that the batch in work may still take after SIGTERM.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        stop: Stop,
+        workshop: Workshop,
+        inbox: Inbox,
+        *,
+        bundles: Bundles,
+        job: str | None,
+        grace: float,
+    ) -> None:
+        self.wid = secrets.token_hex(16)
+        self._bus = bus
+        self._stop = stop
+        self._workshop = workshop
+        self._inbox = inbox
+        errands = Errands(bus, bundles, inbox.put)
+        self._jobs = Appointments()
+        self._memberships = Memberships(bus, errands, self._jobs, self.wid, job)
+        self._scenes = Scenes(errands)
+        self._keys = Keys(job) if job else AnyJob()
+        self._leave = Leave(grace)
+        self._sign_at = 0.0
+
+    def run(self) -> None:
+        """Serve until asked to stop.
+
+        Raises
+        ------
+        RefusedByJob
+            The only job to serve does not take this worker.
+        NoSimulator, OtherPlatform
+            Nothing can be evaluated here, or no longer.
+        """
+        self._stop.tell(lambda: self._inbox.put(Asked()))
+        if self._stop.is_set:
+            return
+        with ExitStack() as stack:
+            stack.enter_context(self._memberships)
+            stack.enter_context(self._bus.subscribe(self._keys.work(self.wid), self._inbox.put))
+            stack.enter_context(self._bus.subscribe(self._keys.ctl(self.wid), self._inbox.put))
+            stack.enter_context(self._bus.on_link(lambda up: self._inbox.put(LinkChanged(up))))
+            stack.enter_context(self._bus.watch(self._keys.coordinator_token(), self._met))
+            while not self._leave.is_over(time.monotonic()):
+                self._hear(self._patience(time.monotonic()))
+                self._act(time.monotonic())
+
+    def _act(self, now: float) -> None:
+        """Do what is due."""
+        self._workshop.tick(now)
+        self._feed()
+        if self._workshop.platform is not None:
+            is_open = self._workshop.is_ready and not self._leave.has_begun
+            self._memberships.join_due(now, self._workshop.platform, is_open=is_open)
+        if self._memberships.leave_drained():
+            self._leave.at_once()
+        if self._workshop.head is not None and now >= self._sign_at:
+            self._sign_at = now + SIGN_INTERVAL
+            self._show_progress(self._workshop.head)
+
+    # Events come in.
+
+    def _met(self, key: str, is_alive: bool) -> None:
+        self._inbox.put(CoordinatorSeen(key, is_alive))
+
+    def _patience(self, now: float) -> float | None:
+        """Seconds to wait for the inbox; None: for ever."""
+        sign_at = inf if self._workshop.head is None else self._sign_at
+        first = min(self._jobs.next_join(), self._leave.deadline, self._workshop.opens_at, sign_at)
+        return None if first == inf else max(0.0, first - now)
+
+    def _hear(self, patience: float | None) -> None:
+        """Take everything out of the inbox, waiting at most `patience` seconds for the first."""
+        try:
+            self._take(self._inbox.get(timeout=patience), time.monotonic())
+            while True:
+                self._take(self._inbox.get_nowait(), time.monotonic())
+        except Empty:
+            return
+
+    def _take(self, event: Event, now: float) -> None:
+        match event:
+            case Sample():
+                self._read(event)
+            case Heard() | Ended():
+                self._settle(self._workshop.hear(event, now), now)
+            case Fetched():
+                self._take_scene(event, now)
+            case Answered():
+                self._take_answer(event, now)
+            case CoordinatorSeen(key, is_alive):
+                self._memberships.meet(key, is_alive, now)
+            case LinkChanged(is_up) if is_up:
+                self._memberships.reconnected(now)
+            case Asked():
+                self._asked(now)
+
+    def _read(self, sample: Sample) -> None:
+        appointment = self._jobs.get(job_of(sample.key))
+        if appointment is None or appointment.hold_up(sample):
+            return
+        desk = appointment.desk
+        try:
+            if sample.encoding == codec.encoding(Work):
+                desk.accept(codec.decode(sample.payload, Work))
+            elif sample.encoding == codec.encoding(Control):
+                desk.control(codec.decode(sample.payload, Control))
+        except MessageError as error:
+            log.warning("dropped a message that is not of the protocol", key=sample.key, reason=str(error))
+
+    def _take_answer(self, answered: Answered, now: float) -> None:
+        for sample in self._memberships.answered(answered, now):
+            self._read(sample)
+        appointment = self._jobs.get(answered.job)
+        if appointment is None or not appointment.credit:
+            self._leave.heard(answered.job)
+
+    def _asked(self, now: float) -> None:
+        """Leave: after SIGTERM with the batch in work if that fits, at once after anything else, or twice."""
+        if self._stop.signal != signal.SIGTERM or self._leave.has_begun:
+            self._leave.at_once()
+            return
+        there = [appointment for appointment in self._jobs if appointment.alive and appointment.desk.held]
+        kept = self._leave.begin(self._workshop.head, {appointment.desk.job for appointment in there}, now)
+        for appointment in there:
+            appointment.desk.hand_back(keep=kept.work.batch if kept else None)
+            appointment.join_soon(now)
+
+    # Batches go to the simulator, and come back.
+
+    def _feed(self) -> None:
+        """Let the simulator have what it has room for."""
+        while self._workshop.has_room and (task := self._next()) is not None:
+            scene = task.work.scene
+            self._workshop.put(task, None if self._workshop.has_scene(scene) else self._scenes.take(scene))
+
+    def _next(self) -> Task | None:
+        """The next batch whose scene is at hand: first what was begun before, then by turns of the jobs."""
+        while (task := self._workshop.next_again) is not None:
+            if self._is_wanted(task):
+                return task if self._has_scene(task.job, task.work.scene) else None
+            self._workshop.drop(task)
+            self._release(task)
+        desk = None if self._leave.has_begun else self._jobs.turn(self._is_servable)
+        work = None if desk is None else desk.begin()
+        return None if desk is None or work is None else Task(desk.job, work)
+
+    def _is_servable(self, desk: Desk) -> bool:
+        work = desk.next()
+        return work is not None and self._has_scene(desk.job, work.scene)
+
+    def _has_scene(self, job: str, scene: str) -> bool:
+        return self._workshop.has_scene(scene) or self._scenes.has(job, scene)
+
+    def _is_wanted(self, task: Task) -> bool:
+        appointment = self._jobs.get(task.job)
+        return appointment is not None and appointment.desk.holds(task.work.batch)
+
+    def _release(self, task: Task) -> None:
+        appointment = self._jobs.get(task.job)
+        if appointment is not None:
+            appointment.desk.release(task.work.batch)
+
+    def _settle(self, outcome: Outcome, now: float) -> None:
+        """Send the results of what is done, and hand back what is lost."""
+        for task in outcome.done:
+            if self._is_wanted(task):
+                self._send(task)
+            self._release(task)
+            self._leave.finished(task)
+        for task in outcome.lost:
+            self._hand_back(task, now)
+
+    def _send(self, task: Task) -> None:
+        result = task.result(self.wid)
+        key = Keys(task.job).result(self.wid)
+        self._bus.put(key, codec.encode(result), encoding=codec.encoding(type(result)))
+
+    def _hand_back(self, task: Task, now: float) -> None:
+        """Let a batch go; the next join, which does not list it, has it evaluated elsewhere."""
+        self._release(task)
+        self._leave.finished(task)
+        appointment = self._jobs.get(task.job)
+        if appointment is not None:
+            appointment.join_later(now, jitter())
+
+    def _take_scene(self, fetched: Fetched, now: float) -> None:
+        """Take a scene; where there is none, its batches fail or are handed back, as the reason wants it."""
+        self._scenes.came(fetched)
+        if isinstance(fetched.bundle, bytes):
+            return
+        reason = fetched.bundle
+        log.warning("a scene cannot be had", job=fetched.job, scene=fetched.scene[:12], reason=str(reason))
+        for task in self._waiting_for(fetched.job, fetched.scene):
+            if isinstance(reason, BusError):
+                self._hand_back(task, now)
+            else:
+                task.fail(str(reason))
+                self._settle(Outcome(done=[task]), now)
+
+    def _waiting_for(self, job: str, scene: str) -> list[Task]:
+        """The batches of a job that cannot be evaluated without a scene, taken from where they wait."""
+        tasks = []
+        while (task := self._workshop.next_again) is not None and (task.job, task.work.scene) == (job, scene):
+            self._workshop.drop(task)
+            tasks.append(task)
+        appointment = self._jobs.get(job)
+        works = appointment.desk.waiting if appointment else []
+        return tasks + [Task(job, work) for work in works if work.scene == scene]
+
+    def _show_progress(self, task: Task) -> None:
+        """Show, about once a second, that a long batch goes on, if it does; so its lease does not pass."""
+        if not self._workshop.look():
+            return
+        figures = {"wid": self.wid, "host": socket.gethostname(), "run": task.work.run, "rows": task.work.n}
+        payload = json.dumps(figures).encode()
+        for appointment in self._jobs:
+            key = Keys(appointment.desk.job).stat(f"worker/{self.wid}")
+            self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)

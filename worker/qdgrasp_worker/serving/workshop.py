@@ -1,0 +1,208 @@
+"""The workshop: the batches at the simulator, and a simulator for them, whatever ends the one before."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import chain, repeat
+from math import inf
+
+import structlog
+
+from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_worker.serving.docket import Docket
+from qdgrasp_worker.serving.frames import Broken, Lacking, Part, Ready, Said, Settings
+from qdgrasp_worker.serving.simulator import Ended, Heard, News, Simulator, evidence
+from qdgrasp_worker.serving.task import Task
+
+log = structlog.get_logger()
+
+PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
+"""Seconds before the next simulator is started, by how many ended since a row was evaluated; then 8."""
+LAST_PAUSE = 8.0
+ROOM = 2
+"""So many times the memory that a simulator may keep it may ask for within a batch."""
+CHILD = [sys.executable, "-m", "qdgrasp_worker.serving.child"]
+
+
+class NoSimulator(QdgraspError):
+    """A simulator that ends before it has evaluated the probes, with the reason."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"The simulator does not start: {reason}.")
+
+
+class OtherPlatform(QdgraspError):
+    """The simulator that was started again is not the one that this worker joined with."""
+
+    def __init__(self) -> None:
+        super().__init__("The package was changed while this worker ran; start it again.")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of news from the simulator."""
+
+    done: list[Task] = field(default_factory=list)
+    """Batches whose every row is known."""
+    lost: list[Task] = field(default_factory=list)
+    """Batches that a kill from outside took away; nothing is known against them."""
+
+
+class Workshop:
+    """Batches in, results out; a context manager that ends the simulator.
+
+    Parameters
+    ----------
+    hire
+        Starts a simulator; its news are to come back to `hear`.
+    row_seconds
+        What the simulator was told of its time, for the words with which it is mourned.
+    memory
+        The most that it may take between two batches [bytes]; above that another one is started.
+    """
+
+    def __init__(self, hire: Callable[[], Simulator], *, row_seconds: float, memory: int) -> None:
+        self._hire = hire
+        self._row_seconds = row_seconds
+        self._memory = memory
+        self._docket = Docket()
+        self._scenes: set[str] = set()
+        self._pauses = pauses()
+        self._is_retiring = False
+        self._last_words = ""
+        self._cpu_seconds = 0.0
+        self.platform: dict[str, str] | None = None
+        """What decides the bits of its results; None until the first simulator has said it."""
+        self.is_ready = False
+        """A simulator is there that has evaluated the probes."""
+        self.opens_at = inf
+        """When the next simulator is to be started; infinite: there is one."""
+        self._simulator = hire()
+
+    @classmethod
+    def open(cls, hear: Callable[[News], None], row_seconds: float, memory: int, nice: int) -> "Workshop":
+        """A workshop with simulators of its own, the first of which starts now."""
+        settings = Settings(row_seconds=row_seconds, memory=ROOM * memory, nice=nice)
+        return cls(lambda: Simulator(CHILD, settings, hear), row_seconds=row_seconds, memory=memory)
+
+    def __enter__(self) -> "Workshop":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._simulator.close()
+
+    # Batches.
+
+    @property
+    def has_room(self) -> bool:
+        """A batch may be put in."""
+        return self.is_ready and not self._is_retiring and self._docket.has_room
+
+    @property
+    def head(self) -> Task | None:
+        """The batch that is worked on."""
+        return self._docket.head
+
+    @property
+    def tasks(self) -> list[Task]:
+        """All batches that are here."""
+        return self._docket.tasks
+
+    @property
+    def next_again(self) -> Task | None:
+        """A batch that was begun, and goes on before others: put it in again, or drop it."""
+        return self._docket.next_again
+
+    def has_scene(self, digest: str) -> bool:
+        """Whether the simulator was given a scene."""
+        return digest in self._scenes
+
+    def put(self, task: Task, bundle: bytes | None) -> None:
+        """Let the simulator evaluate a batch, with its scene unless it has that."""
+        self._simulator.say(task.request(bundle))
+        self._docket.send(task)
+        self._scenes.add(task.work.scene)
+
+    def drop(self, task: Task) -> None:
+        """Forget `next_again`."""
+        self._docket.drop(task)
+
+    # News of the simulator.
+
+    def hear(self, news: News, now: float) -> Outcome:
+        """Take what the simulator says, or that it ended; what came late from an older one is passed over.
+
+        Raises
+        ------
+        NoSimulator
+            No simulator can be started here.
+        OtherPlatform
+            This one is of another platform than the one before.
+        """
+        if news.simulator is not self._simulator or self.opens_at < inf:
+            return Outcome()
+        if isinstance(news, Heard):
+            return self._said(news.frame)
+        return self._ended(news, now)
+
+    def _said(self, frame: Said) -> Outcome:
+        match frame:
+            case Ready(platform=platform):
+                self._welcome(platform)
+            case Broken(reason=reason):
+                self._last_words = reason
+            case Lacking() if self.head is not None:
+                self._scenes.discard(self.head.work.scene)
+            case Part():
+                self._pauses = pauses()
+        done = self._docket.hear(frame)
+        return Outcome(done=[done] if done else [])
+
+    def _welcome(self, platform: dict[str, str]) -> None:
+        if self.platform is not None and platform != self.platform:
+            raise OtherPlatform
+        self.platform = platform
+        self.is_ready = True
+
+    def _ended(self, news: Ended, now: float) -> Outcome:
+        reason = self._last_words or evidence(news.code, self._row_seconds)
+        if self.platform is None and reason:
+            raise NoSimulator(reason)
+        log.warning("the simulator ended; another one is started", reason=reason or "it was killed")
+        self._close(now + next(self._pauses))
+        if reason is None:
+            return Outcome(lost=self._docket.lose())
+        done = self._docket.stumble(reason)
+        return Outcome(done=[done] if done else [])
+
+    # Time passes.
+
+    def tick(self, now: float) -> None:
+        """Start the next simulator when it is time, and have one that takes too much memory replaced."""
+        if now >= self.opens_at:
+            self.opens_at = inf
+            self._simulator = self._hire()
+        elif self._is_retiring and self.head is None:
+            self._simulator.close()
+            self._close(now)
+
+    def look(self) -> bool:
+        """Look at the simulator: whether it did anything since the last time, and what memory it takes."""
+        vitals, before = self._simulator.vitals, self._cpu_seconds
+        self._cpu_seconds = vitals.cpu_seconds
+        if vitals.memory > self._memory and not self._is_retiring:
+            self._is_retiring = True
+            log.warning("the simulator takes too much memory and is replaced", bytes=vitals.memory)
+        return vitals.cpu_seconds != before
+
+    def _close(self, opens_at: float) -> None:
+        """Forget the simulator that there was."""
+        self.is_ready = self._is_retiring = False
+        self.opens_at = opens_at
+        self._last_words = ""
+        self._scenes.clear()
+
+
+def pauses() -> chain[float]:
+    """The pauses before the next simulators, from the first on."""
+    return chain(PAUSES, repeat(LAST_PAUSE))
