@@ -74,7 +74,7 @@ class Dispatch:
         for ticket in self._tickets.of(run):
             if ticket.holder is not None:
                 drops.setdefault(ticket.holder, []).append(ticket.batch.id)
-                self._release(ticket.holder, ticket.batch.id)
+                self._roster.release(ticket.holder, ticket.batch.id)
             self._tickets.close(ticket)
         return drops
 
@@ -155,7 +155,7 @@ class Dispatch:
         self.counters[kind.value] += 1
         if kind is not Settlement.FOREIGN:
             self._roster.seen(wid, now)
-            self._release(wid, result.batch)
+            self._roster.release(wid, result.batch)
         ticket = self._tickets.find(result.batch)
         if kind is not Settlement.FRESH or ticket is None:
             return Settled(kind)
@@ -165,21 +165,20 @@ class Dispatch:
         settled = self._split(ticket.batch, result, rows)
         if ticket.holder in (None, wid):
             return settled
-        self._release(ticket.holder, result.batch)
+        self._roster.release(ticket.holder, result.batch)
         return replace(settled, superseded=ticket.holder)
 
     # Time passes.
 
     def tick(self, now: float) -> list[Lost]:
         """Queue again what vanished workers held, and what was leased without progress for too long."""
-        lost = []
-        for worker, reason in self._roster.overdue(now):
-            lost.append(Lost(worker.wid, reason, self._requeue(worker.batches)))
-            worker.batches.clear()
-        return lost
+        return [
+            Lost(worker.wid, worker.reason, self._requeue(worker.batches))
+            for worker in self._roster.overdue(now)
+        ]
 
     def next_deadline(self) -> float:
-        """When `tick` has something to do if nothing happens before; infinite: never."""
+        """Before when `tick` has nothing to do if nothing happens; infinite: never."""
         return self._roster.next_deadline()
 
     @property
@@ -210,19 +209,13 @@ class Dispatch:
 
     def _hand_over(self, ticket: Ticket, worker: Member, now: float) -> None:
         ticket.holder = worker.wid
-        worker.hold(ticket.batch.id, ticket.batch.scene, now)
+        self._roster.hold(worker, ticket.batch.id, ticket.batch.scene, now)
 
     def _own(self, wid: str, batch_id: bytes) -> Ticket | None:
         """The ticket of a batch that a worker may go on with; it may wait to be leased again."""
         ticket = self._tickets.find(batch_id)
         is_own = ticket is not None and wid in ticket.leased and ticket.holder in (None, wid)
         return ticket if is_own else None
-
-    def _release(self, wid: str, batch_id: bytes) -> None:
-        """Give a worker its credit back."""
-        worker = self._roster.get(wid)
-        if worker is not None:
-            worker.batches.pop(batch_id, None)
 
     def _requeue(self, batch_ids: Iterable[bytes]) -> int:
         """Have those of the batches that are open leased again."""

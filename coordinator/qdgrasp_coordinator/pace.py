@@ -82,6 +82,8 @@ class Patience:
     @property
     def limit(self) -> float:
         """max(10 s, 10 x the 95th percentile of turnarounds) (docs/bus.md, rule 4)."""
+        if self._limit is None and LEASE_TURNS * max(self._turns) <= LEASE_SECONDS:
+            self._limit = LEASE_SECONDS
         if self._limit is None:
             turns = sorted(self._turns)
             self._limit = max(LEASE_SECONDS, LEASE_TURNS * turns[ceil(0.95 * len(turns)) - 1])

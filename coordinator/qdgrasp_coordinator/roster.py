@@ -27,6 +27,8 @@ class Member:
     """How often it has joined."""
     credit: int
     """How many batches it may hold."""
+    order: int
+    """Which one it was to join first."""
     progress: float
     """When it last showed progress, or was leased something while it held nothing."""
     batches: dict[bytes, None] = field(default_factory=dict)
@@ -51,8 +53,8 @@ class Member:
 
     @property
     def has_credit(self) -> bool:
-        """It may be leased more."""
-        return len(self.batches) < self.credit and not self.is_drained
+        """It is there, and may be leased more."""
+        return len(self.batches) < self.credit and self.gone_at is None and not self.is_drained
 
     @property
     def state(self) -> str:
@@ -87,14 +89,33 @@ class Member:
             self.scenes.popitem(last=False)
 
 
+@dataclass(frozen=True)
+class Overdue:
+    """A worker that is given up."""
+
+    wid: str
+    reason: str
+    batches: list[bytes]
+    """The ids of those it held."""
+
+
 class Roster:
-    """The workers of a job."""
+    """The workers of a job.
+
+    With a thousand of them nobody looks at all for the sake of one: who is well, who has credit, and when the
+    next may be overdue, is noted with every change.
+    """
 
     def __init__(self) -> None:
         self.patience = Patience()
         self._members: dict[str, Member] = {}
         self._drained: set[str] = set()
         self._link_is_up = True
+        self._joined = 0
+        self._well: set[str] = set()
+        self._free: dict[str, Member] = {}
+        self._quiet_until = inf  # nobody is overdue before, with the patience that was left then
+        self._limit = self.patience.limit
 
     def __iter__(self) -> Iterator[Member]:
         """All that are known, also those that are gone and not yet given up."""
@@ -102,7 +123,7 @@ class Roster:
 
     def __len__(self) -> int:
         """How many workers are there to stay, and make progress."""
-        return sum(member.is_well for member in self._members.values())
+        return len(self._well)
 
     def get(self, wid: str) -> Member | None:
         """What is known of a worker; None: nothing."""
@@ -110,17 +131,32 @@ class Roster:
 
     def admit(self, wid: str, number: int, credit: int, now: float) -> Member:
         """Take a worker on, with empty hands."""
-        member = Member(wid, number, credit, progress=now, since=now, is_drained=wid in self._drained)
+        self._joined += 1
+        member = Member(wid, number, credit, self._joined, now, since=now, is_drained=wid in self._drained)
         if (old := self._members.get(wid)) is not None:
-            member.scenes, member.since, member.rows = old.scenes, old.since, old.rows
+            member.order, member.scenes = old.order, old.scenes
+            member.since, member.rows = old.since, old.rows
         self._members[wid] = member
+        self._note(member)
         return member
+
+    def hold(self, member: Member, batch_id: bytes, scene: str, now: float) -> None:
+        """Hear that a worker is leased a batch."""
+        member.hold(batch_id, scene, now)
+        self._note(member)
+
+    def release(self, wid: str, batch_id: bytes) -> None:
+        """Hear that a worker holds a batch no more."""
+        if (member := self._members.get(wid)) is not None:
+            member.batches.pop(batch_id, None)
+            self._note(member)
 
     def drain(self, wid: str) -> None:
         """Give a worker no more work, whenever it joins."""
         self._drained.add(wid)
-        if wid in self._members:
-            self._members[wid].is_drained = True
+        if (member := self._members.get(wid)) is not None:
+            member.is_drained = True
+            self._note(member)
 
     def is_drained(self, wid: str) -> bool:
         """Whether a worker is to leave."""
@@ -128,8 +164,9 @@ class Roster:
 
     def seen(self, wid: str, now: float) -> None:
         """Hear that a worker makes progress."""
-        if wid in self._members:
-            self._members[wid].progressed(now)
+        if (member := self._members.get(wid)) is not None:
+            member.progressed(now)
+            self._note(member)
 
     def settled(self, wid: str, rows: int) -> None:
         """Hear that a worker has settled rows."""
@@ -138,13 +175,15 @@ class Roster:
 
     def gone(self, wid: str, now: float) -> None:
         """Hear that a worker's token has vanished."""
-        if wid in self._members and self._members[wid].gone_at is None:
-            self._members[wid].gone_at = now
+        if (member := self._members.get(wid)) is not None and member.gone_at is None:
+            member.gone_at = now
+            self._note(member)
 
     def back(self, wid: str) -> None:
         """Hear that a worker's token is there."""
-        if wid in self._members:
-            self._members[wid].gone_at = None
+        if (member := self._members.get(wid)) is not None:
+            member.gone_at = None
+            self._note(member)
 
     def link(self, is_up: bool, now: float) -> None:
         """Hear that the coordinator's own link went down or came up; while it is down no time passes."""
@@ -154,32 +193,55 @@ class Roster:
                 member.gone_at = None if member.gone_at is None else now
         self._link_is_up = is_up
 
-    def overdue(self, now: float) -> list[tuple[Member, str]]:
-        """The workers to give up now, and why; those whose token vanished are forgotten."""
-        limit = self.patience.limit
-        late = [
-            member for member in self._members.values() if self._link_is_up and now >= member.deadline(limit)
-        ]
-        return [(member, self._give_up(member)) for member in late]
+    def overdue(self, now: float) -> list[Overdue]:
+        """Give up those whose time is over: their hands are emptied; whose token vanished is forgotten."""
+        if now < self.next_deadline():
+            return []
+        self._look_at_all()
+        late = [member for member in self._members.values() if now >= member.deadline(self._limit)]
+        given_up = [self._give_up(member) for member in late]
+        self._look_at_all()
+        return given_up
 
-    def _give_up(self, member: Member) -> str:
+    def _give_up(self, member: Member) -> Overdue:
+        batches, member.batches = list(member.batches), {}
         if member.gone_at is not None:
             del self._members[member.wid]
-            return "its token vanished"
+            self._well.discard(member.wid)
+            self._free.pop(member.wid, None)
+            return Overdue(member.wid, "its token vanished", batches)
         member.is_stuck = True
-        return f"no sign of progress for {self.patience.limit:.0f} seconds"
+        self._note(member)
+        return Overdue(member.wid, f"no sign of progress for {self._limit:.0f} seconds", batches)
 
     def next_deadline(self) -> float:
-        """When `overdue` has somebody if nothing happens before; infinite: never."""
-        if not self._link_is_up:
-            return inf
-        limit = self.patience.limit
-        return min((member.deadline(limit) for member in self._members.values()), default=inf)
+        """Before when `overdue` has nobody if nothing happens; infinite: never."""
+        if self.patience.limit < self._limit:
+            self._look_at_all()
+        return self._quiet_until if self._link_is_up else inf
 
     def free(self) -> "FreeHands":
-        """The workers that may be leased more; stuck ones are among them only if all are stuck."""
-        here = [member for member in self._members.values() if member.gone_at is None]
-        return FreeHands([member for member in here if not member.is_stuck] or here)
+        """The workers that may be leased more; stuck ones are among them only if no other is left."""
+        return FreeHands([member for member in self._free.values() if not (member.is_stuck and self._well)])
+
+    def _note(self, member: Member) -> None:
+        """Take note of what has changed of a member."""
+        if member.is_well:
+            self._well.add(member.wid)
+        else:
+            self._well.discard(member.wid)
+        if member.has_credit:
+            self._free[member.wid] = member
+        else:
+            self._free.pop(member.wid, None)
+        self._quiet_until = min(self._quiet_until, member.deadline(self._limit))
+
+    def _look_at_all(self) -> None:
+        """Find when the next one may be overdue, with the patience that there is now."""
+        self._limit = self.patience.limit
+        self._quiet_until = min(
+            (member.deadline(self._limit) for member in self._members.values()), default=inf
+        )
 
 
 class FreeHands:
@@ -189,11 +251,7 @@ class FreeHands:
     """
 
     def __init__(self, members: list[Member]) -> None:
-        self._heap = [
-            (len(member.batches), member.progress, order, member)
-            for order, member in enumerate(members)
-            if member.has_credit
-        ]
+        self._heap = [(len(member.batches), member.progress, member.order, member) for member in members]
         heapify(self._heap)
 
     @property
