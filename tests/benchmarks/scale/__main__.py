@@ -1,0 +1,53 @@
+"""How far a coordinator goes: `make scale`, or `python -m tests.benchmarks.scale --help`.
+
+Workers are stand-ins that answer at once with prepared results, except where real ones are named; router and
+recorder are processes of their own. CPU times hold on a busy machine, rates and seconds only on a quiet one.
+"""
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+from tests.benchmarks.measure import machine
+from tests.benchmarks.scale import dispatching, pairs, recorded, searching, sessions
+from tests.benchmarks.scale.figures import Figure, table
+
+from qdgrasp_protocol.logs import speak
+
+PARTS: dict[str, Callable[[float], Iterator[Figure]]] = {
+    "dispatch": dispatching.measure,
+    "recorded": recorded.measure,
+    "searches": searching.measure,
+    "sessions": sessions.measure,
+    "pairs": pairs.measure,
+}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.scale", description=__doc__)
+    parser.add_argument("--only", action="append", choices=list(PARTS), help="a part; may be repeated")
+    parser.add_argument("--seconds", type=float, default=5.0, help="for each measurement (default: 5)")
+    parser.add_argument("--out", type=Path, help="a JSON file for the figures")
+    asked = parser.parse_args()
+    speak("scale", level=logging.WARNING)
+    console, found = Console(stderr=True, width=150), {}
+    for name in asked.only or PARTS:
+        found[name] = list(PARTS[name](asked.seconds))
+        console.print(table(name, found[name]))
+    if asked.out:
+        asked.out.parent.mkdir(parents=True, exist_ok=True)
+        parts = {name: [figure.as_dict() for figure in figures] for name, figures in found.items()}
+        date = datetime.now(UTC).isoformat(timespec="seconds")
+        asked.out.write_text(
+            json.dumps({"date": date, "machine": machine(), "parts": parts}, indent=1) + "\n"
+        )
+    return int(any(figure.is_met is False for figures in found.values() for figure in figures))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
