@@ -105,10 +105,18 @@ def _sentence(result: Coverage, name: str) -> str:
         return f"The reference set of '{name}' is empty, so that there is no coverage of it."
     return (
         f"{result.found} of the {result.size} cells of '{name}' were found ({result.coverage:.2%}), "
-        f"and {result.outside} cells that are not in the set"
-        f"{_besides('; robust', result.robust)}{_besides('; as the released code counts', result.released)}."
+        f"and {result.outside} cells that are not in the set.{_robust(result)}{_as_released(result)}"
     )
 
 
-def _besides(words: str, ratio: float | None) -> str:
-    return "" if ratio is None else f"{words} {ratio:.2%}"
+def _robust(result: Coverage) -> str:
+    if result.robust is None:
+        return ""
+    found = f"{result.robust_found} of the {result.robust_size} that have it in the set"
+    return f" With fitness 2 were found {found} ({result.robust:.2%})."
+
+
+def _as_released(result: Coverage) -> str:
+    if result.released is None:
+        return ""
+    return f" The released code counts {result.released_found} of the {result.size} ({result.released:.2%})."
