@@ -66,7 +66,7 @@ def draw_matrix(shown: Sequence[Panel], *, log: bool = False) -> Sheet:
     """A row for each scene, a column for each prior; in it the searches with that prior."""
     drawn = _looks(shown)
     present = {prior_of(one.entry.method) for panel in shown for one in panel.curves}
-    priors = [prior for prior in (*ORDER[-1:], *ORDER[:-1]) if prior in present]
+    priors = [prior for prior in ORDER if prior in present]
     families = {family_of(one.entry.method) for panel in shown for one in panel.curves}
     sheet = Sheet(len(shown), len(priors), (2.5, 1.9), legend_rows=1, over=0.84, least=8.8)
     for row, panel in enumerate(shown):

@@ -32,7 +32,8 @@ FAMILIES: dict[str, Dashes] = {
 """Line styles: the searches are drawn through, dotted or dash-dotted, plain sampling is dashed."""
 PALEST = 0.65
 """How much white is in the palest of a method's variants."""
-ORDER = ("contact", "approach", "antipodal", "aimed", "spherical")
+ORDER = ("aimed", "contact", "approach", "antipodal", "spherical")
+"""The priors as they stand in legends and side by side: the default method's leads."""
 
 
 Arm = tuple[str, str]

@@ -80,7 +80,7 @@ def report(
     references
         Reference sets that are looked at before the published ones on the asset path.
     method
-        The method whose cells are drawn; None: contact_me_scs, or what found the most cells.
+        The method whose cells are drawn; None: the default one, or what found the most cells.
     log
         Whether curves are on logarithmic axes.
 

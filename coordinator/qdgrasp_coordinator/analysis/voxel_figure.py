@@ -19,11 +19,12 @@ from qdgrasp_coordinator.analysis.views import FITNESS, best_in_cells, hues_of_f
 from qdgrasp_coordinator.cells import cells
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.scores import eta, scored
+from qdgrasp_coordinator.search import METHODS
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.trials import trials
 
-FAVOURITE = "contact_me_scs"
-"""The method that is drawn where it is in a campaign and no other is asked for."""
+FAVOURITE = next(iter(METHODS))
+"""The method that is drawn where it is in a campaign and no other is asked for: the default one."""
 WRAPPED, PANEL, PIXELS = 4, 3.1, 460
 ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Named in the legend of robust runs."""

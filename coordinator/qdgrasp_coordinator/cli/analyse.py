@@ -18,7 +18,10 @@ def analyse(
         list[Path] | None,
         typer.Option(help="A reference set of one's own; may be given again. The published ones need none."),
     ] = None,
-    method: Annotated[str | None, typer.Option(help="Whose cells are drawn; default contact_me_scs.")] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(help="Whose cells are drawn; default: the default method, or what found the most."),
+    ] = None,
     log: Annotated[bool, typer.Option("--log", help="Curves on logarithmic axes.")] = False,
     as_json: options.Json = False,
 ) -> None:

@@ -137,6 +137,16 @@ def test_cells_of_robust_runs_have_an_eta(tmp_path: Path, make_scene: SceneMaker
     assert table(out / "runs.csv")[0]["eta"] == "0.5"
 
 
+@pytest.mark.parametrize("methods", [("aimed", "contact_me_scs"), ("me_scs", "contact_me_scs")])
+def test_the_cells_are_the_default_method_s_or_those_of_what_found_the_most(
+    methods: tuple[str, str], tmp_path: Path, make_scene: SceneMaker
+) -> None:
+    sizes = (30, 90) if "aimed" in methods else (90, 30)
+    for method, rows in zip(methods, sizes, strict=True):
+        record(tmp_path / method, make_scene(), random_rows(rows), method=method, evaluations=100)
+    assert {row["method"] for row in table(analysed(tmp_path).out / "voxels.csv")} == {methods[0]}
+
+
 def test_what_cannot_be_drawn_is_refused(tmp_path: Path, campaign: Path, make_scene: SceneMaker) -> None:
     with pytest.raises(UnknownName, match="method in this campaign 'approach_rand'"):
         analysed(campaign, method="approach_rand")
