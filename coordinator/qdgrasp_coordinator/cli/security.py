@@ -6,8 +6,10 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.credentials import Role
+from qdgrasp_protocol.endpoint import home
+from qdgrasp_protocol.errors import SecurityError
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
@@ -33,6 +35,8 @@ def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
 
     Example: qdgrasp security init security --host head --host 10.0.0.1
     """
+    from qdgrasp_coordinator.security.folder import SecurityFolder  # cryptography takes a while to load
+
     made = SecurityFolder.create(directory, hosts=_hosts(host), days=days)
     typer.echo(
         f"{made.path} holds an authority and certificates for {', '.join(Role)}, good for {days} days. "
@@ -52,8 +56,40 @@ def add(
 
     Example: qdgrasp security add security worker lab-7
     """
+    from qdgrasp_coordinator.security.folder import SecurityFolder
+
     place = SecurityFolder(directory).add(role, name, hosts=_hosts(host), days=days)
     typer.echo(f"{place} holds a certificate of the {role}, good for {days} days: copy it to {name}.")
+
+
+@app.command()
+def check(
+    security: flags.Security = None,
+    connect: flags.Connect = None,
+    through: Annotated[
+        str | None, typer.Option(help="Endpoint of a second router: who hears and answers is its client.")
+    ] = None,
+) -> None:
+    """Prove the access list at a running router: every role tries every verb on every key.
+
+    It takes a quarter of a minute and needs the folder that `qdgrasp security init` wrote, with ca.key: a
+    certificate without a role, an expired one and another authority's are tried too. The job that it plays
+    is called security-check; running jobs do not notice.
+
+    Example: qdgrasp security check --security security --connect tls/head:7447
+    """
+    if security is None:
+        raise SecurityError("Name the folder that `qdgrasp security init` wrote with --security.")
+    from qdgrasp_coordinator.security.proof import prove
+    from qdgrasp_coordinator.security.verdicts import table
+
+    found = prove(connect or home(encrypted=True).text, security, takers_at=through)
+    typer.echo(table(found.matrix))
+    for fault in found.faults:
+        typer.echo(f"WRONG: {fault}")
+    typer.echo(found.words)
+    if not found.holds:
+        raise typer.Exit(1)
 
 
 def _hosts(given: list[str] | None) -> list[str]:

@@ -5,34 +5,22 @@ each kind of traffic takes rules on both sides of the router: a publisher must a
 an asker of who answers. Keys stand in the list one by one: `**` does not match chunks that begin with `@`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from qdgrasp_coordinator.security.traffic import TRAFFIC, Traffic, Way
 from qdgrasp_protocol.credentials import Role
+from qdgrasp_protocol.keys import meet
 from qdgrasp_protocol.session import Settings
 
-GIVING = {
-    Way.PUT: {"ingress": ["put"], "egress": ["declare_subscriber"]},
-    Way.QUERY: {"ingress": ["query"], "egress": ["declare_queryable", "reply"]},
-    Way.TOKEN: {"ingress": ["liveliness_token"]},
+GIVEN = {Way.PUT: ["put"], Way.QUERY: ["query"], Way.TOKEN: ["liveliness_token"]}
+"""What comes in from who publishes, asks or is alive; and goes out to the other side."""
+TAKEN = {
+    Way.PUT: ["declare_subscriber"],
+    Way.QUERY: ["declare_queryable", "reply"],
+    Way.TOKEN: ["declare_liveliness_subscriber", "liveliness_query"],
 }
-"""What goes in from, and out to, who publishes, asks or is alive."""
-TAKING = {
-    Way.PUT: {"ingress": ["declare_subscriber"], "egress": ["put"]},
-    Way.QUERY: {"ingress": ["declare_queryable", "reply"], "egress": ["query"]},
-    Way.TOKEN: {
-        "ingress": ["declare_liveliness_subscriber", "liveliness_query"],
-        "egress": ["liveliness_token"],
-    },
-}
-"""What goes in from, and out to, who hears, answers or watches."""
-RELAYED = {
-    Way.PUT: ["put", "declare_subscriber"],
-    Way.QUERY: ["query", "reply", "declare_queryable"],
-    Way.TOKEN: ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"],
-}
-"""What two routers tell each other, in and out."""
+"""What comes in from who hears, answers or watches; and goes out to the other side."""
 
 
 def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> Settings:
@@ -59,30 +47,38 @@ def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> Settings:
     }
 
 
-def _rules(role: Role, flows: tuple[Traffic, ...]) -> list[dict[str, Any]]:
-    """The rules of one role."""
-    keys: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for flow in flows:
-        sides = [GIVING[flow.way]] * (role in flow.givers) + [TAKING[flow.way]] * (role in flow.takers)
-        for side in sides:
-            for direction, messages in side.items():
-                keys.setdefault((direction, tuple(messages)), []).append(flow.key)
+def _rules(role: Role, flows: Sequence[Traffic]) -> list[dict[str, Any]]:
+    """The rules of one role: what it gives and takes, and what it is told of the other side."""
+    return [rule for way in Way for rule in _rules_of(role, way, [flow for flow in flows if flow.way is way])]
+
+
+def _rules_of(role: Role, way: Way, flows: Sequence[Traffic]) -> list[dict[str, Any]]:
+    given = [flow.key for flow in flows if role in flow.givers]
+    taken = [flow.key for flow in flows if role in flow.takers]
+    takers = [flow.key for flow in flows if flow.takers and any(meet(flow.key, key) for key in given)]
+    sides = (
+        ("gives", GIVEN[way], "ingress", given),
+        ("is taken from", TAKEN[way], "egress", takers),
+        ("takes", TAKEN[way], "ingress", taken),
+        ("is given", GIVEN[way], "egress", taken),
+    )
     return [
-        _rule(f"{role} {direction} {' '.join(messages)}", list(messages), [direction], found)
-        for (direction, messages), found in keys.items()
+        _rule(f"{role} {side} ({way})", messages, [direction], keys)
+        for side, messages, direction, keys in sides
+        if keys
     ]
 
 
-def _relayed(flows: tuple[Traffic, ...]) -> list[dict[str, Any]]:
+def _relayed(flows: Sequence[Traffic]) -> list[dict[str, Any]]:
     """The rules between routers: whatever one lets in, the other takes from it."""
     return [
         _rule(
-            f"{Role.ROUTER} {way}",
-            messages,
+            f"{Role.ROUTER} relays ({way})",
+            GIVEN[way] + TAKEN[way],
             ["ingress", "egress"],
             [flow.key for flow in flows if flow.way is way],
         )
-        for way, messages in RELAYED.items()
+        for way in Way
     ]
 
 

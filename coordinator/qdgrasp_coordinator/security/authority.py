@@ -10,7 +10,6 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from qdgrasp_protocol.credentials import Role
 from qdgrasp_protocol.errors import SecurityError
 
 Key = ec.EllipticCurvePrivateKey
@@ -85,7 +84,7 @@ def found(days: int, now: datetime | None = None) -> Identity:
 
 def issue(
     authority: Identity,
-    role: Role,
+    common_name: str,
     days: int,
     *,
     hosts: Iterable[str] = (),
@@ -96,29 +95,27 @@ def issue(
 
     Parameters
     ----------
-    role
-        What it allows: its common name is the role's.
+    common_name
+        What it allows: a role's common name.
     days
         How long.
     hosts
-        Names and addresses that a router is reached by.
+        Names and addresses that it may be shown by: a router's.
     holder
         Whose it is, for people: a node's name, for example.
     """
     key = ec.generate_private_key(ec.SECP256R1())
-    uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
-    if role is Role.ROUTER:
-        uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
+    names = [_alternative(host) for host in hosts]
+    uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if names else [])]
     issuer = authority.certificate
     builder = (
-        _builder(_name(role.common_name, holder), issuer.subject, key, days, now or datetime.now(UTC))
+        _builder(_name(common_name, holder), issuer.subject, key, days, now or datetime.now(UTC))
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         .add_extension(
             x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), critical=False
         )
     )
-    names = [_alternative(host) for host in hosts]
     if names:
         builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
     return Identity(builder.sign(authority.key, hashes.SHA256()), key)

@@ -64,8 +64,8 @@ class SecurityFolder:
         path.chmod(PRIVATE_FOLDER)
         made = cls(path)
         root = authority.found(max(days, AUTHORITY_DAYS))
-        _write(path / "ca.pem", root.certificate_pem)
-        _write(path / "ca.key", root.key_pem)
+        write(path / "ca.pem", root.certificate_pem)
+        write(path / "ca.key", root.key_pem)
         for role in Role:
             made._issue(path, root, role, hosts, days)
         return made
@@ -103,7 +103,7 @@ class SecurityFolder:
         if place.exists():
             raise SecurityError(f"{place} is there already; choose another name.")
         place.mkdir(mode=PRIVATE_FOLDER)
-        _write(place / "ca.pem", root.certificate_pem)
+        write(place / "ca.pem", root.certificate_pem)
         self._issue(place, root, role, hosts, days, name)
         return place
 
@@ -112,11 +112,11 @@ class SecurityFolder:
     ) -> None:
         """Write what a role proves itself with."""
         names = hosts if role is Role.ROUTER else ()
-        identity = authority.issue(root, role, days, hosts=names, holder=holder)
+        identity = authority.issue(root, role.common_name, days, hosts=names, holder=holder)
         files = Credentials(place.absolute(), role)
-        _write(files.certificate, identity.certificate_pem)
-        _write(files.key, identity.key_pem)
-        _write(files.configuration, configuration(files, hosts[0]).encode())
+        write(files.certificate, identity.certificate_pem)
+        write(files.key, identity.key_pem)
+        write(files.configuration, configuration(files, hosts[0]).encode())
 
 
 def check_hosts(hosts: Sequence[str]) -> None:
@@ -137,7 +137,7 @@ def check_hosts(hosts: Sequence[str]) -> None:
                 raise ImpossibleValue("--host", host, "a host's name or address, without a port") from None
 
 
-def _write(path: Path, content: bytes) -> None:
+def write(path: Path, content: bytes) -> None:
     """Write a file that is there for the first time, readable by its owner only from the start."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE)
     with os.fdopen(descriptor, "wb") as file:

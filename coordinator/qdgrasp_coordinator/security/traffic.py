@@ -1,6 +1,7 @@
 """Who says what to whom: the one table that access lists and size limits are made from.
 
-A row stands for the keys of all jobs. What is not in the table is denied.
+A row stands for the keys of all jobs. Rows add up: who may hear what another row's givers publish is who
+has a row that matches its key. What is not in the table is denied.
 """
 
 from dataclasses import dataclass
@@ -75,9 +76,10 @@ TRAFFIC = (
     _put(JOBS.result(), {WORKER}, {COORDINATOR}, 4 * MIB),
     _put(JOBS.outcome(), {COORDINATOR}, {RECORDER}, 8 * MIB),
     _put(JOBS.recorded, {RECORDER}, {COORDINATOR}, 4 * KIB),
-    _put(JOBS.stat("worker/*"), {WORKER}, {COORDINATOR, *WATCHERS}, 64 * KIB),
-    _put(JOBS.stat("job"), {COORDINATOR}, WATCHERS, 256 * KIB),
-    _put(JOBS.stat("run/*"), {COORDINATOR}, WATCHERS, 256 * KIB),
+    _put(JOBS.stat("worker/*"), {WORKER}, {COORDINATOR}, 64 * KIB),
+    _put(JOBS.stat("job"), {COORDINATOR}, set(), 256 * KIB),
+    _put(JOBS.stat("run/*"), {COORDINATOR}, set(), 256 * KIB),
+    _put(JOBS.stat(), set(), WATCHERS, 256 * KIB),
     _put(JOBS.meta, {COORDINATOR}, WATCHERS, 256 * KIB),
     _query(JOBS.stat(), WATCHERS, {COORDINATOR}, 4 * KIB, MIB),
     _query(JOBS.meta, WATCHERS, {COORDINATOR}, 4 * KIB, MIB),

@@ -1,0 +1,30 @@
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.endpoints import own_endpoint
+
+from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+HOSTS = ("localhost", "127.0.0.1")
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `qdgrasp security init` writes."""
+    return SecurityFolder.create(tmp_path_factory.mktemp("home") / "security", hosts=HOSTS, days=2).path
+
+
+def encrypted_endpoint() -> str:
+    """One on a port that is free now."""
+    return own_endpoint().replace("tcp/", "tls/")
+
+
+@pytest.fixture(scope="session")
+def secured(folder: Path) -> Iterator[str]:
+    """The endpoint of a router with the access list."""
+    endpoint = encrypted_endpoint()
+    with ZenohBus.router(endpoint, credentials=Credentials.find(folder, Role.ROUTER)):
+        yield endpoint

@@ -1,0 +1,96 @@
+"""Sessions over mutual TLS: who gets one, and what is said where there is none."""
+
+import shutil
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from tests.coordinator.security.conftest import HOSTS, encrypted_endpoint
+
+from qdgrasp_coordinator.security import authority
+from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_coordinator.security.stage import stranger
+from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.endpoint import Endpoint
+from qdgrasp_protocol.errors import EndpointError
+from qdgrasp_protocol.handshake import why_not
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+SOON = 10.0  # seconds that anything may take that is to happen
+LAST = 100
+
+
+@pytest.mark.parametrize("host", HOSTS)
+@pytest.mark.parametrize("role", [role for role in Role if role is not Role.ROUTER])
+def test_every_role_gets_a_session_by_name_and_by_address(
+    secured: str, folder: Path, role: Role, host: str
+) -> None:
+    endpoint = secured.replace("127.0.0.1", host)
+    with ZenohBus.connect(endpoint, SOON, credentials=Credentials.find(folder, role)):
+        pass
+
+
+def test_another_authoritys_certificate_is_refused_and_named(secured: str, folder: Path) -> None:
+    ours, theirs = SecurityFolder(folder).authority, authority.found(1)
+    with (
+        stranger(theirs, Role.WORKER.common_name, trusts=ours) as shown,
+        pytest.raises(EndpointError, match=r"it does not take .*worker\.pem \(tlsv1 alert"),
+    ):
+        ZenohBus.connect(secured, 0.3, credentials=shown)
+
+
+def test_a_router_of_another_authority_is_not_trusted(secured: str) -> None:
+    theirs = authority.found(1)
+    with (
+        stranger(theirs, Role.WORKER.common_name) as shown,
+        pytest.raises(EndpointError, match="the certificate it shows is not good"),
+    ):
+        ZenohBus.connect(secured, 0.3, credentials=shown)
+
+
+def test_a_router_that_is_reached_by_a_name_not_its_own_is_not_trusted(folder: Path) -> None:
+    elsewhere = encrypted_endpoint().replace("127.0.0.1", "127.0.0.2")
+    with (
+        ZenohBus.router(elsewhere, credentials=Credentials.find(folder, Role.ROUTER)),
+        pytest.raises(EndpointError, match=r"not valid for '127\.0\.0\.2'"),
+    ):
+        ZenohBus.connect(elsewhere, 0.3, credentials=Credentials.find(folder, Role.WORKER))
+
+
+def test_a_workers_certificate_does_not_make_a_router(folder: Path, tmp_path: Path) -> None:
+    """Somebody with a stolen worker's key cannot stand in the router's place."""
+    forged = Path(shutil.copytree(folder, tmp_path / "forged"))
+    for kind in ("pem", "key"):
+        shutil.copy(folder / f"worker.{kind}", forged / f"router.{kind}")
+    endpoint = encrypted_endpoint()
+    with (
+        ZenohBus.router(endpoint, credentials=Credentials.find(forged, Role.ROUTER)),
+        pytest.raises(EndpointError, match="the certificate it shows is not good"),
+    ):
+        ZenohBus.connect(endpoint, 0.3, credentials=Credentials.find(folder, Role.WORKER))
+
+
+def test_files_that_are_no_certificates_are_named(secured: str, folder: Path, tmp_path: Path) -> None:
+    broken = Path(shutil.copytree(folder, tmp_path / "broken"))
+    shutil.copy(folder / "monitor.key", broken / "worker.key")
+    reason = why_not(Endpoint.parse(secured), Credentials(broken, Role.WORKER))
+    assert "worker.pem and its key cannot be used" in reason
+
+
+def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
+    secured: str, folder: Path
+) -> None:
+    key, heard = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int]()
+    with (
+        ZenohBus.connect(secured, SOON, credentials=Credentials.find(folder, Role.RECORDER)) as recorder,
+        ZenohBus.connect(
+            secured, SOON, credentials=Credentials.find(folder, Role.COORDINATOR)
+        ) as coordinator,
+        coordinator.subscribe(key, lambda sample: heard.put(len(sample.payload))),
+    ):
+        sizes = []
+        while not sizes or sizes[-1] != LAST:
+            for size in (4096, 4097, 1 << 20, 16 << 20, 20 << 20, LAST):
+                recorder.put(key, bytes(size), encoding="application/octet-stream")
+            sizes.append(heard.get(timeout=SOON))
+    assert set(sizes) <= {4096, LAST}
