@@ -50,9 +50,8 @@ class Board:
     def figures(self, now: float) -> JobFigures:
         """How far the job is."""
         turn = self._turn()
-        state = "ending" if turn.is_ending else "paused" if turn.is_paused else "running"
         found = self._lanes.figures(self._job, turn.dispatch.workers, now)
-        return msgspec.structs.replace(found, state=state, recorders=len(self._recorders))
+        return msgspec.structs.replace(found, state=state_of(turn), recorders=len(self._recorders))
 
     def values(self, now: float) -> dict[str, bytes]:
         """All that is shown, by key."""
@@ -101,3 +100,9 @@ class Board:
 
     def _put(self, key: str, payload: bytes) -> None:
         self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)
+
+
+def state_of(turn: Turn) -> str:
+    """What a coordinator is about in its turn, in a word."""
+    states = {"ending": turn.is_ending, "paused": turn.is_paused, "starting": not turn.epoch}
+    return next((state for state, holds in states.items() if holds), "running")

@@ -8,6 +8,8 @@ from msgspec import Struct
 
 from qdgrasp_protocol.errors import MessageError
 
+PATIENCE = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
+
 
 class Screened(Protocol):
     """Whatever counts how many poses were screened, and what became of them."""
@@ -26,7 +28,7 @@ class Screened(Protocol):
 
     @property
     def dead_ends(self) -> int:
-        """Rows for which decoding found no pose."""
+        """Rows for which there was no pose, or none worth a simulation."""
 
 
 def screened_words(found: Screened) -> str:
@@ -107,7 +109,7 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     trouble: str = ""
     """What keeps the job from going on, in words; empty when nothing does."""
     state: str = "running"
-    """"running", "paused" or "ending"."""
+    """"starting" (no recorder has answered yet), "running", "paused" or "ending"."""
     recorders: int = 0
     """Recorders of this job that are there."""
 
@@ -117,13 +119,20 @@ class JobFigures(Struct, frozen=True, kw_only=True):
         failed = f" and {self.runs_failed} failed" if self.runs_failed else ""
         runs = f"{self.runs_done} of {self.runs} runs{failed}, " if self.runs > 1 else ""
         done = f"{runs}{self.evaluations} of {self.budget} evaluations"
-        if self.trouble:
-            return f"{done}, paused: {self.trouble}"
+        if self.obstacle:
+            return f"{done}, paused: {self.obstacle}"
+        if self.state == "starting":
+            return f"{done}, starting"
         if self.state == "paused":
             return f"{done}, paused until `qdgrasp continue {self.job}`"
         found = f"{self.successes} successes in {self.cells} cells, {screened_words(self)}"
         trials = f"{self.trials} trials, " if self.trials else ""
         return f"{done}, {self.rate:.0f}/s, {found}, {trials}{self.workers} workers"
+
+    @property
+    def obstacle(self) -> str:
+        """The trouble; none at first, while a recorder may still be on its way."""
+        return "" if self.state == "starting" and self.seconds < PATIENCE else self.trouble
 
     @property
     def left(self) -> str:

@@ -72,8 +72,8 @@ class PlainLines:
 
     def show(self, figures: JobFigures) -> None:
         """Print a line if the last one is long enough ago, or if trouble came or went."""
-        if time.monotonic() >= self._next or figures.trouble != self._trouble:
-            self._trouble = figures.trouble
+        if time.monotonic() >= self._next or figures.obstacle != self._trouble:
+            self._trouble = figures.obstacle
             self._next = time.monotonic() + QUIET_INTERVAL
             self.say(f"{self._name}: {figures.words}, {figures.left}")
 

@@ -69,3 +69,14 @@ def test_plain_lines_tell_of_trouble_at_once(capsys: pytest.CaptureFixture[str])
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 2
     assert "paused: no recorder answers" in said[1]
+
+
+def test_a_job_whose_recorder_is_still_on_its_way_is_starting(capsys: pytest.CaptureFixture[str]) -> None:
+    early = replace(FIGURES, state="starting", seconds=1.0)
+    lines = PlainLines("paper")
+    lines.show(early)
+    lines.show(replace(early, trouble="no recorder answers", seconds=2.0))
+    lines.show(replace(early, trouble="no recorder answers", seconds=60.0))
+    first, second = capsys.readouterr().err.splitlines()
+    assert ", starting, " in first
+    assert "paused: no recorder answers" in second
