@@ -1,13 +1,13 @@
 """`qdgrasp pause`, `continue`, `cancel` and `drain`: what may be done to a job while it goes on."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.asking import session
+from qdgrasp_coordinator.cli.asking import place, session
 from qdgrasp_coordinator.overview import overview
-from qdgrasp_protocol import codec
+from qdgrasp_protocol import codec, flags
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName
 from qdgrasp_protocol.keys import Keys
@@ -16,30 +16,30 @@ from qdgrasp_protocol.messages import Done, Order
 Job = Annotated[str, typer.Argument(metavar="JOB", help="The job's name; `qdgrasp jobs` lists them.")]
 
 
-def pause(job: Job, connect: options.Connect = options.HOME) -> None:
+def pause(job: Job, connect: flags.Connect = None, security: flags.Security = None) -> None:
     """Hand out no more work of a job until `qdgrasp continue`; what is out still counts.
 
     What a run finds does not depend on it. A coordinator that is started again goes on by itself.
 
     Example: qdgrasp pause mugs
     """
-    order(job, connect, Order(act="pause"))
+    order(job, place(connect, security), security, Order(act="pause"))
 
 
-def continue_(job: Job, connect: options.Connect = options.HOME) -> None:
+def continue_(job: Job, connect: flags.Connect = None, security: flags.Security = None) -> None:
     """Let a paused job go on.
 
     Example: qdgrasp continue mugs
     """
-    order(job, connect, Order(act="continue"))
+    order(job, place(connect, security), security, Order(act="continue"))
 
 
-def cancel(job: Job, connect: options.Connect = options.HOME) -> None:
+def cancel(job: Job, connect: flags.Connect = None, security: flags.Security = None) -> None:
     """End a job before it is done: what is recorded stays, and can be gone on with.
 
     Example: qdgrasp cancel mugs
     """
-    order(job, connect, Order(act="cancel"))
+    order(job, place(connect, security), security, Order(act="cancel"))
 
 
 def drain(
@@ -48,7 +48,8 @@ def drain(
         str | None, typer.Option(metavar="WID", help="A worker's id, or how it begins; see `jobs --json`.")
     ] = None,
     host: Annotated[str | None, typer.Option(help="Every worker on this host.")] = None,
-    connect: options.Connect = options.HOME,
+    connect: flags.Connect = None,
+    security: flags.Security = None,
 ) -> None:
     """Have workers finish the batches at hand and leave a job.
 
@@ -58,10 +59,10 @@ def drain(
         raise InputError("Whom is the job to do without? Name a worker with --worker, or a host with --host.")
     if worker is not None and not (worker and set(worker) <= set("0123456789abcdef") and len(worker) <= 32):
         raise InputError(f"'{worker}' is no worker's id: 32 hexadecimal digits, or the first few of them.")
-    order(job, connect, Order(act="drain", worker=worker or "", host=host or ""))
+    order(job, place(connect, security), security, Order(act="drain", worker=worker or "", host=host or ""))
 
 
-def order(job: str, connect: str, what: Order) -> None:
+def order(job: str, endpoint: str, security: Path | None, what: Order) -> None:
     """Tell a job's coordinator what to do, and say what happened.
 
     Raises
@@ -71,19 +72,19 @@ def order(job: str, connect: str, what: Order) -> None:
     InputError
         It cannot be done.
     """
-    with session(f"qdgrasp {what.act}", connect) as bus:
+    with session(f"qdgrasp {what.act}", endpoint, security) as bus:
         try:
             answer = bus.ask(Keys(job).control, codec.encode(what))
         except Refused as refusal:
             raise InputError(f"Nothing was done: {refusal}.") from None
         except NoReply:
-            raise _nobody(bus, job, connect) from None
+            raise _nobody(bus, job, endpoint) from None
     typer.echo(codec.decode(answer, Done).words)
 
 
-def _nobody(bus: Bus, job: str, connect: str) -> InputError:
+def _nobody(bus: Bus, job: str, endpoint: str) -> InputError:
     """Why no coordinator of a job answers."""
     known = [view.meta.job for view in overview(bus)]
     if not known:
-        return InputError(f"No job is at {connect}: the router answers, but no coordinator does.")
+        return InputError(f"No job is at {endpoint}: the router answers, but no coordinator does.")
     return UnknownName("job", job, known)

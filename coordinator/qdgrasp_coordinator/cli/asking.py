@@ -2,8 +2,11 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.endpoint import home
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -11,13 +14,21 @@ PATIENCE = 3.0  # seconds that a router may take to answer
 
 
 @contextmanager
-def session(title: str, connect: str) -> Iterator[Bus]:
+def session(title: str, connect: str, security: Path | None) -> Iterator[Bus]:
     """A session at a router, for a question or two.
 
     Raises
     ------
     EndpointError
         Nothing answers there.
+    SecurityError
+        The folder of certificates lacks those of the admin.
     """
-    with lifetime(title) as stop, ZenohBus.connect(connect, PATIENCE, stop) as bus:
+    credentials = Credentials.find(security, Role.ADMIN)
+    with lifetime(title) as stop, ZenohBus.connect(connect, PATIENCE, stop, credentials) as bus:
         yield bus
+
+
+def place(connect: str | None, security: Path | None) -> str:
+    """The endpoint that was named, or the default one."""
+    return connect or home(encrypted=security is not None).text

@@ -6,21 +6,25 @@ import msgspec
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.asking import session
+from qdgrasp_coordinator.cli.asking import place, session
 from qdgrasp_coordinator.overview import overview, utc_now
+from qdgrasp_protocol import flags
 
 
-def jobs(connect: options.Connect = options.HOME, as_json: options.Json = False) -> None:
+def jobs(
+    connect: flags.Connect = None, security: flags.Security = None, as_json: options.Json = False
+) -> None:
     """Say which jobs there are, what they have done, and who works on them.
 
     Example: qdgrasp jobs --connect tcp/head:7447
     """
-    with session("qdgrasp jobs", connect) as bus:
+    endpoint = place(connect, security)
+    with session("qdgrasp jobs", endpoint, security) as bus:
         found = overview(bus)
     if as_json:
-        typer.echo(json.dumps({"endpoint": connect, "jobs": msgspec.to_builtins(found)}))
+        typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
     elif not found:
-        typer.echo(f"No job is at {connect}: the router answers, but no coordinator does.")
+        typer.echo(f"No job is at {endpoint}: the router answers, but no coordinator does.")
     for job in () if as_json else found:
         for line in job.lines(utc_now()):
             typer.echo(line)

@@ -24,8 +24,6 @@ Listen = Annotated[
 ]
 DiskWait = Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
-HOME = "tcp/127.0.0.1:7447"
-Connect = Annotated[str, typer.Option(help="Endpoint of the router.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 

@@ -1,6 +1,7 @@
 """Sessions over mutual TLS: who gets one, and what is said where there is none."""
 
 import shutil
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -80,9 +81,9 @@ def test_files_that_are_no_certificates_are_named(secured: str, folder: Path, tm
 def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
     secured: str, folder: Path
 ) -> None:
-    key, heard = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int]()
+    key, heard, proof = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int](), partial(Credentials.find, folder)
     with (
-        ZenohBus.connect(secured, SOON, credentials=Credentials.find(folder, Role.RECORDER)) as recorder,
+        ZenohBus.connect(secured, SOON, credentials=proof(Role.RECORDER)) as recorder,
         ZenohBus.connect(
             secured, SOON, credentials=Credentials.find(folder, Role.COORDINATOR)
         ) as coordinator,
