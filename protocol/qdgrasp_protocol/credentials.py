@@ -1,5 +1,6 @@
 """What a session proves its role with: the files of a folder that `qdgrasp security init` wrote."""
 
+import os
 import stat
 from dataclasses import dataclass
 from enum import StrEnum
@@ -90,7 +91,16 @@ class Credentials:
                 f"{self.folder} lacks {' and '.join(missing)}, which the {self.role} needs; "
                 "copy them from the folder that `qdgrasp security init` wrote."
             )
-        if stat.S_IMODE(self.key.stat().st_mode) & OTHERS:
+        if stat.S_IMODE(self.key.stat().st_mode) & _strangers(self.key):
             raise SecurityError(
                 f"Others on this machine can read {self.key}; `chmod 600 {self.key}` mends it."
             )
+
+
+def _strangers(key: Path) -> int:
+    """The permissions that a key must not give.
+
+    Where a service manager hands root's key to a group of one (Kubernetes, systemd), that group may read it.
+    """
+    is_handed_over = key.stat().st_uid == 0 and os.geteuid() != 0
+    return OTHERS & ~stat.S_IRGRP if is_handed_over else OTHERS

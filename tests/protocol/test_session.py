@@ -1,6 +1,8 @@
 """The one builder of sessions."""
 
 import json
+import os
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -84,4 +86,15 @@ def test_a_router_needs_its_access_list(tmp_path: Path) -> None:
 def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
     (filled(tmp_path) / "worker.key").chmod(mode)
     with pytest.raises(SecurityError, match="chmod 600"):
+        Credentials.find(tmp_path, Role.WORKER)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can hand its files over")
+@pytest.mark.parametrize(("mode", "is_taken"), [(0o440, True), (0o460, False), (0o444, False)])
+def test_a_group_may_read_what_root_hands_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, is_taken: bool
+) -> None:
+    (filled(tmp_path) / "worker.key").chmod(mode)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    with nullcontext() if is_taken else pytest.raises(SecurityError):
         Credentials.find(tmp_path, Role.WORKER)
