@@ -1,4 +1,4 @@
-"""The budget of a run that has begun: it may be raised, not taken back below what is recorded."""
+"""The end of a run that has begun: it may be put off, not taken back below what is recorded."""
 
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.search import check
@@ -6,15 +6,15 @@ from qdgrasp_coordinator.tally import Tally, tally
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_values
 
 
-def extend(folder: RunFolder, evaluations: int) -> None:
-    """Give a run a new budget.
+def extend(folder: RunFolder, **goals: int) -> None:
+    """Give a run a new budget, or other goals: any of the keys `spec.GOALS`.
 
     Raises
     ------
     ImpossibleValue
-        It is no budget, or the journal is not a beginning of that with it.
+        It is none, or the journal is not a beginning of that with it.
     """
-    spec = run_spec(to_values(folder.spec) | {"evaluations": evaluations}, "--evaluations")
+    spec = run_spec(to_values(folder.spec) | goals, "resume")
     tally_within(folder, spec, "--evaluations")
     folder.rewrite_spec(spec)
 

@@ -19,6 +19,7 @@ import itertools
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import tomli_w
@@ -30,7 +31,7 @@ from qdgrasp_coordinator.preparation import full_spec, located
 from qdgrasp_coordinator.search import method
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded, UnknownKey
 from qdgrasp_protocol.keys import job_name
-from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec, read_run_spec
+from qdgrasp_protocol.spec import DEFAULT_METHOD, GOALS, RunSpec, read_run_spec
 
 SHORT = {
     "mutation_sigma": "sigma",
@@ -83,20 +84,27 @@ class Campaign:
         return "; ".join(parts) + "."
 
 
-def read_campaign(path: Path, *, here: bool = True) -> Campaign:
+def read_campaign(
+    path: Path, *, here: bool = True, goals: Mapping[str, int | None] = MappingProxyType({})
+) -> Campaign:
     """The campaign in a TOML file.
 
     Parameters
     ----------
     here
         Whether its grippers and objects must be on this machine.
+    goals
+        What ends each run for which the file does not say it, by keys of a spec; None: nothing.
 
     Raises
     ------
     InputError
         There is no such file, it is not TOML, or it asks for a run that cannot be; the run is named.
     """
-    return campaign(read_run_spec(path), str(path), here=here)
+    source, asked = read_run_spec(path), {key: value for key, value in goals.items() if value is not None}
+    if asked and isinstance(source.get("defaults", {}), dict):
+        source["defaults"] = asked | source.get("defaults", {})
+    return campaign(source, str(path), here=here)
 
 
 def is_campaign(path: Path) -> bool:
@@ -125,11 +133,11 @@ def run_name(spec: RunSpec, said: Mapping[str, Any]) -> str:
     Parameters
     ----------
     said
-        The values that the campaign gave for it; its budget is no part of its name.
+        The values that the campaign gave for it; when it ends is no part of its name.
     """
     parts = [Path(spec.gripper).stem, Path(spec.object).stem, spec.method, f"s{spec.seed}"]
     usual = full_spec(USUAL | {key: getattr(spec, key) for key in ("gripper", "object", "method")})
-    others = sorted(said.keys() - {*NAMED, "evaluations"})
+    others = sorted(said.keys() - {*NAMED, *GOALS})
     told = [key for key in others if getattr(spec, key) != getattr(usual, key)]
     parts += [f"{SHORT.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in told]
     return _fitting("-".join(parts))
@@ -213,7 +221,7 @@ def _add(runs: dict[str, RunSpec], values: dict[str, Any], where: str) -> None:
     if runs.setdefault(name, spec) != spec:
         raise InputError(
             f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
-            "gripper, object, method or seed, or in a key of its spec other than evaluations."
+            "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
         )
 
 

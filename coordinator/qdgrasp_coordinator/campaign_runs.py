@@ -4,8 +4,6 @@ from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 
-import msgspec
-
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator import preparation
 from qdgrasp_coordinator.assignment import Assignment
@@ -15,7 +13,7 @@ from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.programme import Extent
 from qdgrasp_coordinator.tally import Tally
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, RunFailed
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import RunSpec, differences
 
 SCENE = ("gripper", "object", "mass", "friction", "protocol", "surface_seed")
 """The keys of a spec that its scene depends on."""
@@ -105,8 +103,7 @@ def recorded(path: Path, spec: RunSpec) -> Tally | None:
     if not RunFolder.is_run(path):
         return None
     folder = RunFolder.open(path)
-    known = msgspec.structs.replace(folder.spec, evaluations=spec.evaluations)
-    differ = [key for key in spec.__struct_fields__ if getattr(known, key) != getattr(spec, key)]
+    differ = differences(folder.spec, spec)
     if differ:
         raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
     try:

@@ -12,9 +12,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from qdgrasp_coordinator.generation import Generation, Slot
+from qdgrasp_coordinator.goals import Goals
 from qdgrasp_coordinator.search import Search
 from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_coordinator.tally import Tally, counted
+from qdgrasp_coordinator.tally import BUDGET_ALONE, Tally
 from qdgrasp_coordinator.whole import joined, taken
 from qdgrasp_protocol.errors import ReplayError
 from qdgrasp_protocol.messages import Failure
@@ -44,6 +45,8 @@ class Pipeline:
         Whether overlaps count.
     trials
         How many trials each nominal success has; its fitness is then the sum over them.
+    goals
+        What ends the run before its budget is spent, in the same manner.
     """
 
     def __init__(
@@ -54,8 +57,9 @@ class Pipeline:
         overlaps: Overlaps,
         generations_in_flight: int = 1,
         trials: int = 0,
+        goals: Goals = BUDGET_ALONE,
     ) -> None:
-        self.tally = Tally(evaluations, overlaps, trials)
+        self.tally = Tally(evaluations, overlaps, trials, goals)
         self._search = search
         self._shape = shape
         self._overlaps = overlaps
@@ -149,23 +153,16 @@ class Pipeline:
         slot = self._open[0]
         if not slot.has_arrived:
             return None
-        rows = self._within_budget(slot.arrived())
+        rows = slot.arrived()
+        rows = rows[: self.tally.until_reached(rows)]
         slot.final += len(rows)
         self.tally.count(rows)
-        if self.tally.left <= 0:
+        if self.tally.is_reached:
             slot.cut()
         if slot.is_complete:
             self.tally.end_generation()
             self._close(slot)
         return rows
-
-    def _within_budget(self, rows: Rows) -> Rows:
-        """Rows up to the one that reaches the budget; where it is spent, all of them: they are trials."""
-        left = self.tally.left
-        if left <= 0 or len(rows) < left:
-            return rows
-        reached = np.flatnonzero(counted(rows, self._overlaps))
-        return rows if len(reached) < left else rows[: reached[left - 1] + 1]
 
     def _close(self, slot: Slot) -> None:
         """Tell a complete generation, and ask the one that waited for it, unless the run is over."""

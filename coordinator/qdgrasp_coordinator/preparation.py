@@ -7,6 +7,7 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.assignment import Assignment
+from qdgrasp_coordinator.goals import Goals
 from qdgrasp_coordinator.job_folder import RUN
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import check, method
@@ -69,6 +70,7 @@ def assignment(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> A
         overlaps=spec.overlaps,
         generations_in_flight=spec.generations_in_flight,
         trials=trials(spec.protocol),
+        goals=Goals.of(spec),
     )
     return Assignment(run, to_toml(spec).encode(), bundle, chosen.prior, shape, pipeline, spec.evaluations)
 

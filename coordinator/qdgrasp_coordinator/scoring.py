@@ -15,7 +15,8 @@ from qdgrasp_coordinator.progress import Display
 from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.searches.given import Given
 from qdgrasp_coordinator.service import CoordinatorService
-from qdgrasp_coordinator.supervisor import Team, Watch
+from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.watch import Watch
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import Stop

@@ -55,6 +55,8 @@ class CoordinatorService:
         Rows in a batch; None: measured.
     seconds
         After so long what is out is taken back, what was found is recorded, and `run` returns; None: never.
+    paused
+        Whether nothing is handed out until somebody says so.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class CoordinatorService:
         make_record: Callable[[Assignment], Record],
         batch_size: int | None = None,
         seconds: float | None = None,
+        paused: bool = False,
     ) -> None:
         self._bus = bus
         self._stop = stop
@@ -78,6 +81,7 @@ class CoordinatorService:
         self._lanes = Lanes(programme, make_record, self._inbox.put, stop)
         self._reception = Reception(self._inbox, self._lanes.scene)
         self._turn = self._new_turn(0)
+        self._turn.is_paused = paused
         self._board = Board(bus, job, self._lanes, lambda: self._turn)
         self._orders = Orders(job, lambda: self._turn, self._cancel)
         self._cancelled = ""

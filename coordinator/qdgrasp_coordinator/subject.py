@@ -3,15 +3,13 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import msgspec
-
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.journal import Journal
 from qdgrasp_coordinator.journal_format import Identity
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import OpenRun
 from qdgrasp_protocol.rows import Shape
-from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
+from qdgrasp_protocol.spec import RunSpec, differences, from_toml, to_toml
 
 
 @dataclass(frozen=True)
@@ -53,15 +51,14 @@ class Subject:
 
 
 def check_same(path: Path, held: Subject, asked: Subject) -> None:
-    """Check that the run that is asked for is the one that a folder holds, with any budget.
+    """Check that the run that is asked for is the one that a folder holds, with any budget and goals.
 
     Raises
     ------
     Refused
         It is another one; what differs is named.
     """
-    known = msgspec.structs.replace(held.spec, evaluations=asked.spec.evaluations)
-    differ = [name for name in known.__struct_fields__ if getattr(known, name) != getattr(asked.spec, name)]
+    differ = differences(held.spec, asked.spec)
     if differ:
         raise Refused(f"{path} holds a run of another spec: {', '.join(differ)} differ; name another folder")
     if asked.scene != held.scene:

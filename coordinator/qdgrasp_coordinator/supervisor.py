@@ -6,17 +6,18 @@ The same processes, commands and messages as on many machines; there is no secon
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from qdgrasp_coordinator.figures import JobFigures, from_json
 from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.progress import Display
+from qdgrasp_coordinator.watch import COORDINATOR, Watch
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.crew import Crew, Death
-from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError, MessageError
+from qdgrasp_protocol.crew import Crew
+from qdgrasp_protocol.errors import EndpointError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus
@@ -57,6 +58,8 @@ class Team:
     door: Door = Door()
     disk_wait: float = 60.0
     """Seconds that a full disk is waited for."""
+    seconds: float | None = None
+    """After so long the job ends, done or not; None: when it is done."""
 
 
 class Supervisor:
@@ -68,6 +71,9 @@ class Supervisor:
         self._display = display
         self._stop = stop
         self._news: SimpleQueue[Sample | None] = SimpleQueue()
+        self._door = team.door
+        self._began = time.monotonic()
+        self._is_paused = False
 
     def run(self) -> None:
         """Carry the job out to its end.
@@ -75,7 +81,7 @@ class Supervisor:
         Raises
         ------
         EndedEarly
-            The coordinator died; `qdgrasp resume` goes on.
+            The job was cancelled, or processes die again and again; `qdgrasp resume` goes on.
         InputError
             A process ended with a sentence that names bad input or environment.
         """
@@ -83,13 +89,14 @@ class Supervisor:
         with ExitStack() as stack:
             stack.enter_context(self._folder.supervise())
             crew = stack.enter_context(Crew(self._folder.logs))
-            watch = Watch(crew, self._display)
+            watch = Watch(crew, self._display, lambda: self._hire_coordinator(crew))
             self._hire_coordinator(crew)
             self._await(lambda: self._folder.endpoint is not None, watch)
             endpoint = self._folder.endpoint
             if self._stop.is_set or watch.is_done or endpoint is None:
                 return
             self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
+            self._door = replace(self._door, listen=endpoint)  # one that is started again is found there
             self._hire_recorder(crew, endpoint)
             for number in range(self._team.workers):
                 self._hire_worker(crew, endpoint, number)
@@ -98,11 +105,15 @@ class Supervisor:
 
     def _hire_coordinator(self, crew: Crew) -> None:
         self._folder.forget_endpoint()
-        arguments = [str(self._folder.path)]
-        arguments += [*self._team.door.flags, *self._team.door.proof]
+        arguments = [str(self._folder.path), *self._door.flags, *self._door.proof]
         if self._team.batch_size:
             arguments += ["--batch-size", str(self._team.batch_size)]
-        crew.hire("coordinator", "qdgrasp_coordinator.cli.coordinator", arguments)
+        if self._team.seconds is not None:
+            left = self._team.seconds - (time.monotonic() - self._began)
+            arguments += ["--seconds", str(max(0.0, left))]
+        if self._is_paused:
+            arguments.append("--paused")
+        crew.hire(COORDINATOR, "qdgrasp_coordinator.cli.coordinator", arguments)
 
     def _hire_recorder(self, crew: Crew, endpoint: str) -> None:
         arguments = [*self._place(endpoint), "--out", str(self._folder.path)]
@@ -116,7 +127,7 @@ class Supervisor:
         """Where the others find the coordinator, and what they show there."""
         return ["--connect", endpoint, "--job", self._folder.name, *self._team.door.proof]
 
-    def _listen(self, endpoint: str, stack: ExitStack, watch: "Watch") -> AbstractContextManager[None]:
+    def _listen(self, endpoint: str, stack: ExitStack, watch: Watch) -> AbstractContextManager[None]:
         """Hear what the coordinator publishes."""
         try:
             credentials = Credentials.find(self._team.door.security, Role.MONITOR)
@@ -128,55 +139,22 @@ class Supervisor:
             raise
         return bus.subscribe(Keys(self._folder.name).stat("job"), self._news.put)
 
-    def _await(self, condition: Callable[[], bool], watch: "Watch") -> None:
+    def _await(self, condition: Callable[[], bool], watch: Watch) -> None:
         """Look after the processes and show what they report until the condition holds or a signal comes."""
         while not (condition() or self._stop.is_set or watch.is_done):
             watch.look(time.monotonic())
             try:
-                self._show(self._news.get(timeout=LOOK_INTERVAL))
+                self._show(self._news.get(timeout=LOOK_INTERVAL), watch)
             except Empty:
                 continue
 
-    def _show(self, news: Sample | None) -> None:
+    def _show(self, news: Sample | None, watch: Watch) -> None:
         if news is None:
             return
         try:
             figures = from_json(news.payload, JobFigures)
         except MessageError:
             return
+        self._is_paused = figures.state == "paused"
+        watch.progressed(figures)
         self._display.show(figures)
-
-
-class Watch:
-    """Decides what a death in the crew means."""
-
-    def __init__(self, crew: Crew, display: Display) -> None:
-        self._crew = crew
-        self._display = display
-        self.is_done = False
-        """The coordinator ended with its run complete."""
-
-    def look(self, now: float) -> None:
-        """Take note of deaths, and start again what can be."""
-        for death in self._crew.deaths():
-            if death.name == "coordinator":
-                self._coordinator_died(death)
-            elif not self.is_done:
-                self._member_died(death, now)
-        self._crew.restart_due(now)
-
-    def _coordinator_died(self, death: Death) -> None:
-        if death.exit_code == 0:
-            self.is_done = True
-            return
-        words = self._crew.last_words("coordinator")
-        if death.exit_code == InputError.exit_code:
-            raise InputError(words)
-        raise EndedEarly(f"The coordinator {death.words}. {words}".strip())
-
-    def _member_died(self, death: Death, now: float) -> None:
-        """A worker or the recorder died: bad input ends the run, anything else is started again."""
-        if death.exit_code == InputError.exit_code:
-            raise InputError(self._crew.last_words(death.name))
-        pause = self._crew.restart_later(death.name, now)
-        self._display.say(f"{death.name} {death.words}; it is started again in {pause:.1f} s")

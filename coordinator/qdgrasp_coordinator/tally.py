@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.cells import cells, keys
+from qdgrasp_coordinator.goals import Goals, first, stale
 from qdgrasp_coordinator.whole import taken
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.outcome import Outcome
@@ -17,6 +18,8 @@ BARREN = 20
 """A run ends when so many generations in a row counted nothing,"""
 BARREN_GENOMES = 1000
 """and so many genomes: a search that asks few at a time may have bad luck for twenty generations."""
+
+BUDGET_ALONE = Goals()
 
 
 def counted(rows: Rows, overlaps: Overlaps) -> NDArray[np.bool_]:
@@ -52,6 +55,8 @@ class Tally:
         Whether overlaps count as evaluations.
     trials
         How many trials each success has.
+    goals
+        What ends the run before its budget is spent.
     """
 
     rows: int = 0
@@ -64,8 +69,10 @@ class Tally:
     errors: int = 0
     """Rows on which the simulator failed three times, trials included."""
 
-    def __init__(self, budget: int, overlaps: Overlaps, trials: int = 0) -> None:
+    def __init__(self, budget: int, overlaps: Overlaps, trials: int = 0, goals: Goals = BUDGET_ALONE) -> None:
         self.budget = budget
+        self._goals = goals
+        self._stale = self._most_stale = 0  # evaluations since a new cell: now, and most before the last row
         self._overlaps = overlaps
         self._trials = trials
         self._barren = 0
@@ -89,6 +96,10 @@ class Tally:
         self.trials = self.rows - int(self._outcomes.sum())
 
     def _count_nominal(self, rows: Rows) -> None:
+        if self._goals.no_new_cell is not None and len(rows):
+            since = self._staleness(rows)
+            self._most_stale = max(self._most_stale, self._stale, int(since[:-1].max(initial=0)))
+            self._stale = int(since[-1])
         outcomes = np.bincount(rows["outcome"], minlength=len(Outcome))
         self._outcomes += outcomes
         self.evaluations += int(len(rows) if self._overlaps == "count" else outcomes[Outcome.MISSED :].sum())
@@ -110,6 +121,46 @@ class Tally:
         """Counted evaluations that the budget still allows."""
         return self.budget - self.evaluations
 
+    @property
+    def is_reached(self) -> bool:
+        """Whether what ends the run has come: only trials may follow."""
+        return self.left <= 0 or self._goal is not None
+
+    def until_reached(self, rows: Rows) -> int:
+        """How many of the next rows, nominal ones or trials, there are up to the one that ends the run.
+
+        All, where it goes on behind them, or where it is reached and what follows are trials.
+        """
+        if self.is_reached or not len(rows) or rows["trial"][0] > 0:
+            return len(rows)
+        ends = [len(rows)]
+        if self.left <= len(rows):
+            ends.append(first(np.cumsum(counted(rows, self._overlaps)) >= self.left))
+        if self._goals.successes is not None:
+            found = self.successes + np.cumsum(rows["outcome"] >= Outcome.DROPPED)
+            ends.append(first(found >= self._goals.successes))
+        if self._goals.no_new_cell is not None:
+            ends.append(first(self._staleness(rows) >= self._goals.no_new_cell))
+        return min(ends)
+
+    @property
+    def _goal(self) -> str | None:
+        return self._goals.reached(self.successes, self._stale)
+
+    def _staleness(self, rows: Rows) -> NDArray[np.int64]:
+        """Counted evaluations since the last new cell at each of the next nominal rows: (n,)."""
+        done = self.evaluations + np.cumsum(counted(rows, self._overlaps))
+        return stale(done, self._is_new(rows), self.evaluations - self._stale)
+
+    def _is_new(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which of the next nominal rows reach a new cell: (n,)."""
+        found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
+        reached, places = np.unique(keys(cells(rows["descriptor"][found, :3])), return_index=True)
+        is_unknown = [key not in self._cells for key in reached.tolist()]
+        is_new = np.zeros(len(rows), dtype=bool)
+        is_new[found[places[is_unknown]]] = True
+        return is_new
+
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the journal of `spec`, which may have another budget, begins with the rows counted.
 
@@ -121,8 +172,8 @@ class Tally:
         Raises
         ------
         ImpossibleValue
-            The rows go on behind that budget, or they end a generation early for the sake of another one:
-            what follows then are trials, where a greater budget has nominal rows first.
+            The rows go on behind that budget or a goal, or they end a generation early for the sake of other
+            ones: what follows then are trials, where a greater budget has nominal rows first.
         """
         if self._last is None:
             return
@@ -130,16 +181,32 @@ class Tally:
         least = self.evaluations + (not is_counted)
         if spec.evaluations < least:
             raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
+        self._check_goals()
         is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
-        if is_cut and spec.evaluations > least:
+        if is_cut and spec.evaluations > least and self._goal is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"
             raise ImpossibleValue(where, spec.evaluations, expected)
+
+    def _check_goals(self) -> None:
+        """Check that no goal was reached before the last nominal row."""
+        goals, is_success = self._goals, self._last is not None and self._last["outcome"] >= Outcome.DROPPED
+        found = self.successes + (not is_success)
+        if goals.successes is not None and goals.successes < found:
+            raise ImpossibleValue("successes", goals.successes, f"at least {found}, which are recorded")
+        if goals.no_new_cell is not None and goals.no_new_cell <= self._most_stale:
+            raise ImpossibleValue(
+                "no_new_cell",
+                goals.no_new_cell,
+                f"at least {self._most_stale + 1}: so long a stretch without a new cell is recorded",
+            )
 
     @property
     def finished(self) -> str | None:
         """Why the run is over, in words; None while it is not."""
         if self.left <= 0 and not self._owed:
             return f"the budget of {self.budget} evaluations is spent"
+        if self._goal is not None and not self._owed:
+            return self._goal
         genomes = self._nominal - self._fruitful
         if self._barren >= BARREN and genomes >= BARREN_GENOMES:
             return f"the last {genomes} genomes, {self._barren} generations, counted no evaluation"
@@ -191,7 +258,7 @@ class Tally:
 
 def tally(spec: RunSpec, blocks: Iterable[Rows]) -> Tally:
     """The tally of a journal, in its order, in blocks of any length."""
-    total = Tally(spec.evaluations, spec.overlaps, trials(spec.protocol))
+    total = Tally(spec.evaluations, spec.overlaps, trials(spec.protocol), Goals.of(spec))
     for block in blocks:
         for number in np.unique(block["generation"]):
             rows = block[block["generation"] == number]

@@ -23,6 +23,9 @@ DEFAULT_METHOD = "aimed"
 MOST = 4096
 """Genomes in a generation, at most, and poses in a spec."""
 
+GOALS = ("evaluations", "successes", "no_new_cell")
+"""The keys of a spec that say when a run ends: what may change when it goes on."""
+
 
 class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
     """One search: scene, method, seed and budget."""
@@ -41,6 +44,10 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     protocol: ProtocolName = "paper"
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
+    successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
+    """So many successes end the run before its budget is spent; None: they do not."""
+    no_new_cell: Annotated[int, Meta(ge=1, le=10**9)] | None = None
+    """So many counted evaluations without a success in a new cell end it; None: they do not."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
     population: Annotated[int, Meta(ge=1, le=MOST)] = 500
@@ -115,6 +122,13 @@ def from_toml(text: str, where: str = "spec") -> RunSpec:
         return run_spec(tomllib.loads(text), where)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{where} is not TOML: {error}.") from None
+
+
+def differences(one: RunSpec, other: RunSpec) -> list[str]:
+    """The keys in which two specs differ, besides those that say when a run ends."""
+    return [
+        key for key in one.__struct_fields__ if key not in GOALS and getattr(one, key) != getattr(other, key)
+    ]
 
 
 def to_values(spec: RunSpec) -> dict[str, Any]:

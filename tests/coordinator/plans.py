@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from qdgrasp_coordinator.goals import Goals
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.search import Search
 from qdgrasp_protocol.genome import Genomes
@@ -71,6 +72,8 @@ class Plan:
     overlaps: Overlaps = "count"
     in_flight: int = 1
     trials: int = 0
+    successes: int | None = None
+    no_new_cell: int | None = None
     batch_size: int | None = 2
     workers: int = 2
     credit: int = 2
@@ -108,7 +111,8 @@ class Plan:
     def pipeline(self) -> Pipeline:
         """A new pipeline of this run."""
         search = self.task.search(self.population, self.seed)
-        return Pipeline(search, self.task.shape, self.evaluations, self.overlaps, self.in_flight, self.trials)
+        shape, goals = self.task.shape, Goals(self.successes, self.no_new_cell)
+        return Pipeline(search, shape, self.evaluations, self.overlaps, self.in_flight, self.trials, goals)
 
 
 def reference(plan: Plan) -> bytes:
@@ -116,17 +120,17 @@ def reference(plan: Plan) -> bytes:
     task = plan.task
     search = task.search(plan.population, plan.seed)
     waiting = deque((g, search.ask(g)) for g in range(plan.in_flight))
-    journal, counted, barren, idle = [], 0, 0, 0
+    journal, barren, idle = [], 0, 0
+    end = End(plan)
     while True:
         number, genomes = waiting.popleft()
         rows = task.evaluate(rows_of(number, genomes, task.shape))
         counts = rows["outcome"] >= (Outcome.MISSED if plan.overlaps == "redraw" else Outcome.ERROR)
-        until = np.flatnonzero(counted + np.cumsum(counts) == plan.evaluations)[:1]
-        is_last = len(until) > 0
-        rows = rows[: until[0] + 1] if is_last else rows
+        until = next((n for n, row in enumerate(rows) if end.comes_with(row, counts[n])), None)
+        is_last = until is not None
+        rows = rows[: until + 1] if is_last else rows
         trials = [trials_of(row, plan.trials, task) for row in rows if row["outcome"] >= Outcome.DROPPED]
         journal += [rows.tobytes(), *(found.tobytes() for found in trials)]
-        counted += int(counts.sum())
         barren, idle = (0, 0) if counts.any() else (barren + 1, idle + len(rows))
         if is_last or (barren >= 20 and idle >= 1000):
             return b"".join(journal)
@@ -135,6 +139,30 @@ def reference(plan: Plan) -> bytes:
             rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = sums
         search.tell(number, rows)
         waiting.append((number + plan.in_flight, search.ask(number + plan.in_flight)))
+
+
+class End:
+    """Whether a run's end comes with its next nominal row."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._counted = self._found = self._fresh = 0
+        self._cells: set[tuple[int, ...]] = set()
+
+    def comes_with(self, row: np.void, is_counted: np.bool_) -> bool:
+        plan = self._plan
+        self._counted += int(is_counted)
+        if row["outcome"] >= Outcome.DROPPED:
+            self._found += 1
+            cell = tuple(np.rint(np.float64(row["descriptor"][:3]) * 100).astype(int).tolist())
+            if cell not in self._cells:
+                self._cells.add(cell)
+                self._fresh = self._counted
+        return (
+            self._counted == plan.evaluations
+            or self._found == plan.successes
+            or self._counted - self._fresh == plan.no_new_cell
+        )
 
 
 def trials_of(row: np.void, trials: int, task: Task) -> Rows:

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from queue import SimpleQueue
 
 import numpy as np
-from tests.coordinator.plans import SHAPE, Chain, Plan, evaluate
+from tests.coordinator.plans import SHAPE, Plan, evaluate
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.assignment import Assignment
@@ -59,8 +59,7 @@ class Runs:
         name, plan = self._left.pop(0)
         if plan is None:
             raise RunFailed(name, "Its mesh is no mesh.")
-        search = Chain(plan.population, plan.seed)
-        pipeline = Pipeline(search, SHAPE, plan.evaluations, plan.overlaps)
+        pipeline = plan.pipeline()
         self.pipelines.append(weakref.ref(pipeline))
         bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
         return Assignment(name, b"", bundle, "none", SHAPE, pipeline, plan.evaluations)

@@ -39,26 +39,26 @@ def generation(size: int) -> Rows:
 def test_a_budget_is_raised_and_not_taken_back_below_what_is_recorded(tmp_path: Path) -> None:
     spec = RunSpec(gripper="hand", object="thing", evaluations=10, population=8)
     folder = begun(tmp_path, spec, generation(6)[:6])
-    extend(folder, 30)
+    extend(folder, evaluations=30)
     assert folder.spec.evaluations == 30
     with pytest.raises(ImpossibleValue, match="at least 6, which are recorded"):
-        extend(folder, 5)
+        extend(folder, evaluations=5)
     assert folder.spec.evaluations == 30
 
 
 def test_a_run_whose_trials_end_a_generation_early_keeps_its_budget(tmp_path: Path) -> None:
     spec = RunSpec(gripper="hand", object="thing", protocol="robust", evaluations=6, population=8)
     folder = begun(tmp_path, spec, generation(6))
-    extend(folder, 6)
+    extend(folder, evaluations=6)
     with pytest.raises(ImpossibleValue, match="only whole generations can be extended"):
-        extend(folder, 7)
+        extend(folder, evaluations=7)
     assert folder.spec.evaluations == 6
 
 
 def test_a_run_with_trials_is_extended_from_a_whole_generation(tmp_path: Path) -> None:
     spec = RunSpec(gripper="hand", object="thing", protocol="robust", evaluations=8, population=8)
     folder = begun(tmp_path, spec, generation(8))
-    extend(folder, 100)
+    extend(folder, evaluations=100)
     assert folder.spec.evaluations == 100
 
 
@@ -67,4 +67,4 @@ def test_there_are_no_more_evaluations_than_poses(tmp_path: Path) -> None:
     spec = RunSpec(gripper="hand", object="thing", method="given", poses=poses, evaluations=8, population=8)
     folder = begun(tmp_path, spec, generation(8)[:8])
     with pytest.raises(ImpossibleValue, match="at most 8, one for each pose"):
-        extend(folder, 9)
+        extend(folder, evaluations=9)

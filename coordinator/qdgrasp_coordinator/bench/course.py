@@ -23,7 +23,7 @@ from qdgrasp_coordinator.progress import Display
 from qdgrasp_coordinator.record import Memory
 from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_coordinator.supervisor import Watch
+from qdgrasp_coordinator.watch import Watch
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.keys import Keys

@@ -14,7 +14,7 @@ PATIENCE = 3.0  # seconds that a router may take to answer
 
 
 @contextmanager
-def session(title: str, connect: str, security: Path | None) -> Iterator[Bus]:
+def session(title: str, connect: str, security: Path | None, role: Role = Role.ADMIN) -> Iterator[Bus]:
     """A session at a router, for a question or two.
 
     Raises
@@ -22,9 +22,9 @@ def session(title: str, connect: str, security: Path | None) -> Iterator[Bus]:
     EndpointError
         Nothing answers there.
     SecurityError
-        The folder of certificates lacks those of the admin.
+        The folder of certificates lacks those of the role.
     """
-    credentials = Credentials.find(security, Role.ADMIN)
+    credentials = Credentials.find(security, role)
     with lifetime(title) as stop, ZenohBus.connect(connect, PATIENCE, stop, credentials) as bus:
         yield bus
 

@@ -9,7 +9,7 @@ from qdgrasp_coordinator.campaign import Campaign, read_campaign
 from qdgrasp_coordinator.campaign_folder import begin, open_campaign
 from qdgrasp_coordinator.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped
+from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped, going_on
 from qdgrasp_coordinator.figures import screened_words
 from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.progress import display
@@ -24,6 +24,9 @@ def campaign(
         Path, typer.Argument(metavar="FILE.toml|DIR", help="The campaign, or the folder of one that began.")
     ],
     out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
+    successes: options.Successes = None,
+    no_new_cell: options.NoNewCell = None,
+    seconds: options.Seconds = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
@@ -36,18 +39,21 @@ def campaign(
     """Carry out all runs of a campaign; one that was stopped goes on, and finished runs are not repeated.
 
     The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
+    --successes and --no-new-cell are of each run for which the file says nothing of the kind.
 
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
     """
     path = _place(what, out)
-    asked = read_campaign(open_campaign(what).path / CAMPAIGN if what.is_dir() else what)
+    goals = {"successes": successes, "no_new_cell": no_new_cell}
+    asked = read_campaign(open_campaign(what).path / CAMPAIGN if what.is_dir() else what, goals=goals)
     if list_runs:
         show(asked)
         return
     extent = begin(path, asked, job)
     folder = JobFolder(path)
     door = Door(listen, security, insecure)
-    team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
+    count = options.cores() if workers is None else workers
+    team = Team(count, batch_size, door, disk_wait, seconds)
     with lifetime("qdgrasp campaign") as stop, display(path.name, asked.evaluations) as shown:
         shown.say(asked.words)
         if extent.runs_done:
@@ -77,6 +83,8 @@ def show(asked: Campaign) -> None:
 def finish(folder: JobFolder, asked: Campaign) -> None:
     """Print what was found."""
     found = CampaignRuns(folder, asked.runs).extent
+    if found.runs_done < found.runs:
+        typer.echo(f"Its time is over; {going_on(folder)}")
     typer.echo(
         f"{found.runs_done} of {found.runs} runs with {found.done.evaluations} evaluations: "
         f"{found.done.successes} successes in {found.done.cells} cells, {screened_words(found.done)}. "

@@ -14,16 +14,17 @@ def carry_out(job: JobFolder, team: Team, shown: Display, stop: Stop) -> None:
     try:
         Supervisor(job, team, shown, stop).run()
     except EndedEarly as error:
-        raise EndedEarly(f"{error} {_going_on(job)}") from None
+        raise EndedEarly(f"{error} {going_on(job)}") from None
 
 
 def check_not_stopped(job: JobFolder, stop: Stop) -> None:
     """End as a signal has asked, and name the command that goes on."""
     if stop.is_set:
-        typer.echo(f"Stopped; {_going_on(job)}", err=True)
+        typer.echo(f"Stopped; {going_on(job)}", err=True)
         raise typer.Exit(stop.exit_code)
 
 
-def _going_on(job: JobFolder) -> str:
+def going_on(job: JobFolder) -> str:
+    """What a person is told of a job that is not done."""
     command = "campaign" if job.is_campaign else "resume"
     return f"`qdgrasp {command} {job.path}` goes on where it stopped."

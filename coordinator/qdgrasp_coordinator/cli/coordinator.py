@@ -46,6 +46,10 @@ def coordinator(
     insecure: flags.Insecure = False,
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's or file's.")] = None,
     batch_size: options.BatchSize = None,
+    seconds: options.Seconds = None,
+    paused: Annotated[
+        bool, typer.Option("--paused", help="Hand out no work until `qdgrasp continue`.")
+    ] = False,
 ) -> None:
     """Run the searches of a job: ask, dispatch to workers, settle, tell; a recorder keeps what is found.
 
@@ -68,6 +72,8 @@ def coordinator(
             programme=programme,
             make_record=lambda run: RecorderLink(bus, name, run.shape),
             batch_size=batch_size,
+            seconds=seconds,
+            paused=paused,
         ).run()
     raise typer.Exit(stop.exit_code)
 

@@ -9,6 +9,7 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.asking import place, session
 from qdgrasp_coordinator.overview import overview, utc_now
 from qdgrasp_protocol import flags
+from qdgrasp_protocol.credentials import Role
 
 
 def jobs(
@@ -19,7 +20,7 @@ def jobs(
     Example: qdgrasp jobs --connect tcp/head:7447
     """
     endpoint = place(connect, security)
-    with session("qdgrasp jobs", endpoint, security) as bus:
+    with session("qdgrasp jobs", endpoint, security, Role.MONITOR) as bus:
         found = overview(bus)
     if as_json:
         typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))

@@ -15,6 +15,17 @@ ProtocolOption = Annotated[
     typer.Option("--protocol", help="Evaluation protocol: paper, released or robust; default paper."),
 ]
 Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
+Successes = Annotated[
+    int | None, typer.Option(min=1, help="End with so many successes; default: with the budget.")
+]
+NoNewCell = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="End when N evaluations in a row found no new cell."),
+]
+Seconds = Annotated[
+    float | None,
+    typer.Option(min=0, help="Stop after so many seconds; what is recorded stays, and can be gone on with."),
+]
 BatchSize = Annotated[
     int | None, typer.Option("--batch-size", min=1, max=4096, help="Rows in a batch; default: measured.")
 ]

@@ -22,6 +22,9 @@ def resume(
     evaluations: Annotated[
         int | None, typer.Option(help="The new total of counted evaluations; default: the spec's.")
     ] = None,
+    successes: options.Successes = None,
+    no_new_cell: options.NoNewCell = None,
+    seconds: options.Seconds = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
     listen: options.Listen = None,
@@ -31,20 +34,24 @@ def resume(
 ) -> None:
     """Go on with a run where its journal ends; --evaluations extends a finished one.
 
+    So do --successes and --no-new-cell where a run ended with these.
+
     Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
     """
     folder = RunFolder.open(directory)
     check_own_job(folder)
     folder.job.check_not_in_use()
-    if evaluations is not None:
-        extend(folder, evaluations)
+    asked = {"evaluations": evaluations, "successes": successes, "no_new_cell": no_new_cell}
+    if goals := {key: value for key, value in asked.items() if value is not None}:
+        extend(folder, **goals)
     found = summary(folder)
     if found.complete:
         typer.echo(f"{directory} is finished: {found.words}")
         show_ranking(folder)
         return
     door = Door(listen, security, insecure)
-    team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
+    count = options.cores() if workers is None else workers
+    team = Team(count, batch_size, door, disk_wait, seconds)
     with lifetime("qdgrasp resume") as stop, display(directory.name, folder.spec.evaluations) as shown:
         shown.say(f"going on after {found.evaluations} evaluations")
         carry_out(folder.job, team, shown, stop)

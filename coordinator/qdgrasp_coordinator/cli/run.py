@@ -8,7 +8,7 @@ import typer
 
 from qdgrasp_coordinator import preparation
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped
+from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped, going_on
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.progress import display
 from qdgrasp_coordinator.ranking import is_reranking, write_ranking
@@ -31,6 +31,9 @@ def run(
     method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
     evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
+    successes: options.Successes = None,
+    no_new_cell: options.NoNewCell = None,
+    seconds: options.Seconds = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the search; default 0.")] = None,
     overlaps: Annotated[
         str | None,
@@ -71,6 +74,8 @@ def run(
         "method": method,
         "protocol": protocol,
         "evaluations": evaluations,
+        "successes": successes,
+        "no_new_cell": no_new_cell,
         "seed": seed,
         "overlaps": overlaps,
         "population": population,
@@ -81,7 +86,8 @@ def run(
     }
     asked = preparation.full_spec(_merged(spec, flags), str(spec) if spec else "run")
     door = Door(listen, security, insecure)
-    team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
+    count = options.cores() if workers is None else workers
+    team = Team(count, batch_size, door, disk_wait, seconds)
     start(asked, out or Path("runs") / preparation.default_name(asked), team, job)
 
 
@@ -109,7 +115,9 @@ def finish(folder: RunFolder, stop: Stop) -> None:
     check_not_stopped(folder.job, stop)
     found = summary(folder)
     typer.echo(found.words)
-    if found.evaluations < found.budget:
+    if not found.complete:
+        typer.echo(f"Its time is over; {going_on(folder.job)}")
+    elif found.evaluations < found.budget:
         typer.echo(f"It ended early: {found.ended}.")
     show_ranking(folder)
 

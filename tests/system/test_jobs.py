@@ -1,0 +1,103 @@
+"""What is seen of a job, and done to it, while it goes on."""
+
+import pytest
+from tests.endpoints import own_endpoint
+from tests.system.commands import LONG, SMALL, Commands, kill, rows_recorded, wait_for
+from tests.system.test_bad_input import sentence
+from tests.system.test_faults import pids
+
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+
+class Running:
+    """A run on an endpoint of its own, of which some rows are on disk."""
+
+    def __init__(self, qdgrasp: Commands, *flags: object) -> None:
+        self.qdgrasp, self.endpoint, self.folder = qdgrasp, own_endpoint(), qdgrasp.home / "run"
+        command = ("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run", "--job", "mugs")
+        self.process = qdgrasp.start(*command, "--listen", self.endpoint, *flags)
+        self.waits_for(20)
+
+    def waits_for(self, rows: int) -> None:
+        wait_for(lambda: rows_recorded(self.folder) >= rows or self.process.poll() is not None, "rows")
+        assert self.process.poll() is None, self.process.communicate()
+
+    def __call__(self, command: str, *arguments: str):
+        return self.qdgrasp(command, *arguments, "--connect", self.endpoint)
+
+    def shown(self) -> dict:
+        (job,) = self("jobs", "--json").json["jobs"]
+        return job
+
+    def ends(self) -> tuple[int, str]:
+        _, err = self.process.communicate(timeout=120)
+        return self.process.returncode, err
+
+
+def test_a_job_is_seen_paused_continued_and_ends_with_the_same_digest(qdgrasp, long_digest):
+    run = Running(qdgrasp)
+    assert "is paused" in run("pause", "mugs").out
+    wait_for(lambda: not any(worker["batches"] for worker in run.shown()["workers"]), "idle workers")
+    paused = run.shown()
+    assert (paused["figures"]["state"], paused["figures"]["recorders"]) == ("paused", 1)
+    assert [worker["state"] for worker in paused["workers"]] == ["idle", "idle"]
+    assert run.shown()["figures"]["evaluations"] == paused["figures"]["evaluations"]
+    assert "paused until `qdgrasp continue mugs`" in run("jobs").out
+    kill(pids(run.process, "coordinator")[0])
+    wait_for(lambda: bool(run("jobs", "--json").json["jobs"]), "the next coordinator")
+    wait_for(lambda: run.shown()["meta"]["epoch"] == 2, "its turn")
+    assert run.shown()["figures"]["state"] == "paused"
+    assert run("continue", "mugs").out == "Job 'mugs' goes on.\n"
+    code, err = run.ends()
+    assert code == 0, err
+    assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long_digest):
+    run = Running(qdgrasp)
+    assert "Unknown job 'bowls'. Known: mugs." in sentence(run("cancel", "bowls"))
+    assert "Job 'mugs' ends" in run("cancel", "mugs").out
+    code, err = run.ends()
+    assert code == 1
+    assert "Job 'mugs' was cancelled. `qdgrasp resume run` goes on" in err
+    assert rows_recorded(run.folder) >= 20
+    done = qdgrasp("resume", "run", "--workers", 2)
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
+    done = qdgrasp("run", *LONG, "--workers", 2, "--out", "run", "--seconds", 3)
+    assert done.code == 0, done.err
+    assert "Its time is over; `qdgrasp resume run` goes on" in done.out
+    again = qdgrasp("resume", "run", "--workers", 2)
+    assert again.code == 0, again.err
+    assert qdgrasp.digest("run") == long_digest
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_ends_with_its_goal_whatever_the_workers_and_is_extended_from_there(qdgrasp, workers):
+    goal = ("run", *SMALL, "--evaluations", 200, "--workers", workers)
+    done = qdgrasp(*goal, "--successes", 12, "--out", "run")
+    assert done.code == 0, done.err
+    assert "12 successes in" in done.out
+    assert "It ended early: 12 successes are found." in done.out
+    assert "is finished" in qdgrasp("resume", "run").out
+    assert "successes must be at least 12" in sentence(qdgrasp("resume", "run", "--successes", 11))
+    again = qdgrasp("resume", "run", "--successes", 30, "--no-new-cell", 150, "--workers", workers)
+    assert again.code == 0, again.err
+    assert "30 successes in" in again.out
+    whole = qdgrasp(*goal, "--successes", 30, "--out", "whole")
+    assert whole.code == 0, whole.err
+    assert qdgrasp.digest("run") == qdgrasp.digest("whole")
+
+
+def test_where_nobody_is_it_is_said(qdgrasp):
+    endpoint = own_endpoint()
+    assert "Nothing answers at" in sentence(qdgrasp("jobs", "--connect", endpoint))
+    with ZenohBus.router(endpoint):
+        assert qdgrasp("jobs", "--connect", endpoint).out.startswith(f"No job is at {endpoint}")
+        assert qdgrasp("jobs", "--connect", endpoint, "--json").json == {"endpoint": endpoint, "jobs": []}
+        assert "No job is at" in sentence(qdgrasp("pause", "mugs", "--connect", endpoint))
+    for whom in ((), ("--worker", "a", "--host", "b"), ("--worker", "Moon")):
+        assert "worker" in sentence(qdgrasp("drain", "mugs", *whom, "--connect", endpoint))
