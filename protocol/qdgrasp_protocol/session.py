@@ -19,6 +19,7 @@ SETTINGS: Settings = {
     "scouting/delay": 0,  # ms; nobody is scouted, so opening a router need not wait for answers
     "transport/shared_memory/enabled": False,
     "transport/unicast/max_sessions": 10_000,
+    "transport/unicast/open_timeout": 3000,  # ms of one try; then another router has its turn
     "transport/link/rx/max_message_size": 17 << 20,  # codec.MAX_PAYLOAD and what stands around it
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us

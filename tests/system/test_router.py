@@ -1,0 +1,139 @@
+"""`qdgrasp-router`: relaying, taking over from another router, and stopping."""
+
+import signal
+import subprocess
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import pytest
+from tests.endpoints import own_endpoint
+from tests.system.commands import PATIENCE, Commands
+
+from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+SOON = 20.0  # seconds that anything may take that is to happen
+STOPS = 2.0  # seconds in which a router ends
+KEYS = Keys("mugs")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return SecurityFolder.create(tmp_path_factory.mktemp("s") / "security", hosts=["127.0.0.1"], days=1).path
+
+
+class Routers:
+    """Starts routers, each a process that is known to listen."""
+
+    def __init__(self, qdgrasp: Commands, folder: Path) -> None:
+        self._qdgrasp = qdgrasp
+        self._folder = folder
+
+    def start(self, endpoint: str, *flags: str) -> subprocess.Popen[str]:
+        arguments = [
+            "--listen",
+            endpoint,
+            *flags,
+            *(["--security", self._folder] if "tls/" in endpoint else []),
+        ]
+        process = self._qdgrasp.start(*arguments, module="qdgrasp_coordinator.cli.router")
+        assert process.stderr is not None
+        said = process.stderr.readline()
+        assert "listening" in said, said + process.stderr.read()
+        assert f"endpoint={endpoint}" in said
+        return process
+
+
+@pytest.fixture
+def routers(qdgrasp: Commands, folder: Path) -> Routers:
+    return Routers(qdgrasp, folder)
+
+
+def encrypted_endpoint() -> str:
+    return own_endpoint().replace("tcp/", "tls/")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("encrypted", [False, True])
+def test_a_router_stops_cleanly_and_soon_also_with_clients(
+    routers: Routers, folder: Path, number: signal.Signals, encrypted: bool
+) -> None:
+    endpoint = encrypted_endpoint() if encrypted else own_endpoint()
+    process = routers.start(endpoint)
+    shown = Credentials.find(folder, Role.WORKER) if encrypted else None
+    with ZenohBus.connect(endpoint, SOON, credentials=shown) as client:
+        client.token(KEYS.worker_token("w"))
+        began = time.monotonic()
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 128 + number
+        assert time.monotonic() - began < STOPS
+
+
+def test_a_taken_port_is_one_sentence(routers: Routers, qdgrasp: Commands) -> None:
+    endpoint = own_endpoint()
+    routers.start(endpoint)
+    process = qdgrasp.start("--listen", endpoint, module="qdgrasp_coordinator.cli.router")
+    _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 2
+    assert said == (
+        f"qdgrasp-router: Cannot listen on {endpoint}: address already in use; "
+        "name another endpoint with --listen.\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("flags", "sentence"),
+    [
+        (["--listen", "tcp/0.0.0.0:0"], "Whoever reaches tcp/0.0.0.0:0 could read everything"),
+        (["--listen", "tls/127.0.0.1:0"], "needs certificates: name their folder with --security"),
+        (["--security", "nowhere"], "lacks ca.pem and router.pem and router.key and router.json5"),
+        (["--listen", "here"], "is not an endpoint"),
+    ],
+)
+def test_bad_input_is_one_sentence(qdgrasp: Commands, flags: list[str], sentence: str) -> None:
+    process = qdgrasp.start(*flags, module="qdgrasp_coordinator.cli.router")
+    _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 2
+    assert sentence in said
+    assert said.count("\n") == 1
+
+
+def test_two_routers_relay_and_one_takes_over_from_the_other(routers: Routers, folder: Path) -> None:
+    first, second = encrypted_endpoint(), encrypted_endpoint()
+    process = routers.start(first)
+    routers.start(second, "--connect", first)
+    results: SimpleQueue[Any] = SimpleQueue()
+    seen: SimpleQueue[Any] = SimpleQueue()
+    with ExitStack() as stack:
+
+        def session(role: Role, *endpoints: str) -> ZenohBus:
+            shown = Credentials.find(folder, role)
+            return stack.enter_context(ZenohBus.connect(",".join(endpoints), SOON, credentials=shown))
+
+        coordinator = session(Role.COORDINATOR, second, first)
+        worker = session(Role.WORKER, first, second)
+        stack.enter_context(coordinator.subscribe(KEYS.result(), results.put))
+        stack.enter_context(coordinator.watch(KEYS.worker_token(), lambda *seen_: seen.put(seen_)))
+        stack.enter_context(worker.token(KEYS.worker_token("w")))
+        assert seen.get(timeout=SOON) == (KEYS.worker_token("w"), True)
+        arrives(worker, results)
+        process.kill()
+        assert seen.get(timeout=SOON) == (KEYS.worker_token("w"), False)
+        assert seen.get(timeout=SOON) == (KEYS.worker_token("w"), True)
+        arrives(worker, results)
+
+
+def arrives(worker: ZenohBus, results: SimpleQueue[Any]) -> None:
+    """A result arrives; put while a link is down it is lost, so it is put until one does."""
+    deadline = time.monotonic() + SOON
+    while results.empty():
+        assert time.monotonic() < deadline
+        worker.put(KEYS.result("w"), b"result", encoding="text/plain")
+        time.sleep(0.01)
+    while not results.empty():
+        results.get()
