@@ -17,6 +17,7 @@ from qdgrasp_coordinator.watch import COORDINATOR, Watch
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.crew import Crew
+from qdgrasp_protocol.endpoint import parse_all
 from qdgrasp_protocol.errors import EndpointError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
@@ -97,10 +98,11 @@ class Supervisor:
                 return
             self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
             self._door = replace(self._door, listen=endpoint)  # one that is started again is found there
-            self._hire_recorder(crew, endpoint)
+            near = parse_all(endpoint)[0].from_here
+            self._hire_recorder(crew, near)
             for number in range(self._team.workers):
-                self._hire_worker(crew, endpoint, number)
-            stack.enter_context(self._listen(endpoint, stack, watch))
+                self._hire_worker(crew, near, number)
+            stack.enter_context(self._listen(near, stack, watch))
             self._await(lambda: watch.is_done, watch)
 
     def _hire_coordinator(self, crew: Crew) -> None:

@@ -69,6 +69,17 @@ class Endpoint:
         except ValueError:
             return self.host == "localhost"
 
+    @property
+    def from_here(self) -> str:
+        """Where sessions on this machine get there: over loopback, where it listens everywhere."""
+        try:
+            address = ipaddress.ip_address(self.host)
+        except ValueError:
+            return self.text
+        if not address.is_unspecified:
+            return self.text
+        return f"{self.protocol}/{HOME if address.version == 4 else '[::1]'}:{self.port}"
+
 
 def parse_all(text: str) -> tuple[Endpoint, ...]:
     """Read endpoints that are separated by commas, one or more.

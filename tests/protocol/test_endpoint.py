@@ -63,3 +63,17 @@ def test_the_default_is_on_loopback() -> None:
     assert home(encrypted=False).text == "tcp/127.0.0.1:7447"
     assert home(encrypted=True).text == "tls/127.0.0.1:7447"
     assert home(encrypted=True).is_local
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("tls/0.0.0.0:7000", "tls/127.0.0.1:7000"),
+        ("tcp/[::]:7000", "tcp/[::1]:7000"),
+        ("tls/10.0.0.1:7000", "tls/10.0.0.1:7000"),
+        ("tls/head:7000", "tls/head:7000"),
+        ("unixsock-stream//run/qdgrasp", "unixsock-stream//run/qdgrasp"),
+    ],
+)
+def test_who_listens_everywhere_is_found_on_loopback(text: str, near: str) -> None:
+    assert Endpoint.parse(text).from_here == near
