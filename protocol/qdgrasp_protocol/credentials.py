@@ -8,7 +8,8 @@ from pathlib import Path
 
 from qdgrasp_protocol.errors import SecurityError
 
-OTHERS = stat.S_IRWXG | stat.S_IRWXO
+OTHERS = stat.S_IWGRP | stat.S_IRWXO
+"""A group may read a key: that is how systemd and Kubernetes hand one to a service."""
 
 
 class Role(StrEnum):

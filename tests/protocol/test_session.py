@@ -82,9 +82,11 @@ def test_a_router_needs_its_access_list(tmp_path: Path) -> None:
         Credentials.find(tmp_path, Role.ROUTER)
 
 
-@pytest.mark.parametrize("mode", [0o640, 0o604, 0o666])
+@pytest.mark.parametrize("mode", [0o620, 0o604, 0o666])
 def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
-    (filled(tmp_path) / "worker.key").chmod(mode)
+    (filled(tmp_path) / "worker.key").chmod(0o440)
+    Credentials.find(tmp_path, Role.WORKER)
+    (tmp_path / "worker.key").chmod(mode)
     with pytest.raises(SecurityError, match="chmod 600"):
         Credentials.find(tmp_path, Role.WORKER)
 
@@ -94,7 +96,9 @@ def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> Non
 def test_a_group_may_read_what_root_hands_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, is_taken: bool
 ) -> None:
-    (filled(tmp_path) / "worker.key").chmod(mode)
+    (filled(tmp_path) / "worker.key").chmod(0o440)
+    Credentials.find(tmp_path, Role.WORKER)
+    (tmp_path / "worker.key").chmod(mode)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     with nullcontext() if is_taken else pytest.raises(SecurityError):
         Credentials.find(tmp_path, Role.WORKER)
