@@ -27,7 +27,7 @@ from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
 
-SERVING = frozenset({"cli", "desk", "bundles", "platform", "service", "serving"})
+SERVING = frozenset({"cli", "platform", "serving"})
 """Modules and folders of this room that bring work and carry results away, without a say in them."""
 CONTRACTS = (
     qdgrasp_assets.genes,

@@ -7,9 +7,14 @@ from qdgrasp_protocol.messages import Work
 GENES = 2
 
 
-def work(batch: int = 1, epoch: int = 1, join: int = 1, n: int = 1, scene: str = "0" * 64) -> Work:
-    """A batch of n rows whose genomes hold their place."""
-    genomes = np.repeat(np.arange(n, dtype="<f4")[:, None], GENES, axis=1)
+def work(
+    batch: int = 1, epoch: int = 1, join: int = 1, n: int = 1, scene: str = "0" * 64, **deeds: int
+) -> Work:
+    """A batch of n rows whose genomes hold their place, and what a stand-in does there: `row_3=ABORT`."""
+    genomes = np.zeros((n, GENES), dtype="<f4")
+    genomes[:, 0] = np.arange(n)
+    for row, deed in deeds.items():
+        genomes[int(row.removeprefix("row_")), 1] = deed
     columns = {
         "index": np.arange(n, dtype="<u4").tobytes(),
         "trial": bytes(2 * n),

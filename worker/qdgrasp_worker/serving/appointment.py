@@ -16,8 +16,7 @@ class Appointment:
 
     def __init__(self, job: str) -> None:
         self.desk = Desk(job)
-        self.alive = True
-        """Whether a coordinator that it may follow is there."""
+        self._there: set[int] = set()
         self.credit = 0
         """The credit that was asked for last."""
         self.is_asking = False
@@ -26,6 +25,11 @@ class Appointment:
         self._patience = RETRY_FIRST
         self._join_at: float | None = None
         self._held_up: list[Sample] = []
+
+    @property
+    def alive(self) -> bool:
+        """Whether a coordinator that it may follow is there."""
+        return any(self.desk.follows(epoch) for epoch in self._there)
 
     @property
     def join_at(self) -> float | None:
@@ -43,12 +47,13 @@ class Appointment:
 
     def meet(self, epoch: int, alive: bool, now: float) -> None:
         """Hear that a coordinator's token is there, or is gone."""
-        if alive and self.desk.follows(epoch):
-            self.alive = True
+        if not alive:
+            self._there.discard(epoch)
+            self.desk.is_orphaned |= epoch == self.desk.epoch
+            return
+        self._there.add(epoch)
+        if self.desk.follows(epoch):
             self.join_soon(now)
-        elif not alive and epoch == self.desk.epoch:
-            self.alive = False
-            self.desk.is_orphaned = True
 
     def join_soon(self, now: float) -> None:
         """Ask to join, again if need be: the link is new, or the worker is to be known otherwise."""
@@ -88,7 +93,9 @@ class Appointment:
         """Take the answer to a join; False when it comes from an older coordinator than the one known."""
         self.is_asking = False
         self._patience = RETRY_FIRST
-        return self.desk.joined(answer)
+        is_current = self.desk.joined(answer)
+        self.desk.is_orphaned |= answer.epoch == self.desk.epoch and answer.epoch not in self._there
+        return is_current
 
     def unanswered(self, now: float, jitter: float) -> None:
         """Hear that nobody answered: ask again later, after a time that doubles, times the jitter."""

@@ -43,6 +43,8 @@ WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial"
 F = TypeVar("F", bound=Frame)
 Load = Callable[[bytes], Evaluator]
 """Makes an evaluator of a scene's bundle."""
+Probe = Callable[[], dict[str, str]]
+"""Finds out what decides the bits of results."""
 
 
 class Child:
@@ -145,26 +147,26 @@ def load_scene(bundle: bytes) -> Evaluator:
     return Evaluator(unpack_scene(bundle))
 
 
-def serve(line: Line, load: Load) -> None:
+def serve(line: Line, load: Load, probe: Probe) -> None:
     """Evaluate the probes, and then what comes, until the line ends."""
     settings = _hear(line, Settings)
     if settings is None:
         return
     limits.limit_memory(settings.memory)
     limits.stand_back(settings.nice)
-    line.send(encode(Ready(platform=platform())))
+    line.send(encode(Ready(platform=probe())))
     child = Child(line, settings.row_seconds, load)
     while (request := _hear(line, Evaluate)) is not None:
         child.answer(request)
 
 
-def main(load: Load = load_scene) -> None:
-    """Entry point of the simulator; `load` is another one's in tests."""
+def main(load: Load = load_scene, probe: Probe = platform) -> None:
+    """Entry point of the simulator."""
     limits.heed_the_starter_alone()
     setproctitle("qdgrasp-simulator")
     line = Line(socket.socket(fileno=sys.stdin.fileno()))
     try:
-        serve(line, load)
+        serve(line, load, probe)
     except (BrokenPipeError, ConnectionResetError):
         sys.exit(0)  # the worker is gone
     except Exception as error:  # noqa: BLE001 - whatever it is, the worker is told

@@ -1,4 +1,7 @@
-"""The docket: which batches are at the simulator, and what becomes of them when it speaks, or ends. Pure."""
+"""The docket: which batches are at the simulator, and what becomes of them when it speaks, or ends. Pure.
+
+Time is passed in, in seconds of any steady clock.
+"""
 
 from collections import deque
 
@@ -36,17 +39,18 @@ class Docket:
         """The batch that is to be sent again before any other; None: there is none."""
         return self._again[0] if self._again else None
 
-    def send(self, task: Task) -> None:
+    def send(self, task: Task, now: float) -> None:
         """Note that a batch goes to the simulator, for the first time or again."""
         if task is self.next_again:
             self._again.popleft()
+        task.since = now
         self._there.append(task)
 
     def drop(self, task: Task) -> None:
         """Forget a batch that was to be sent again."""
         self._again.remove(task)
 
-    def hear(self, frame: Said) -> Task | None:
+    def hear(self, frame: Said, now: float) -> Task | None:
         """Take what the simulator says of the batch that it works on; gives it when it is done."""
         task = self.head
         if task is None:
@@ -60,7 +64,12 @@ class Docket:
                 task.fail(reason)
             case Lacking():
                 self._again.append(self._there.popleft())
-        return self._there.popleft() if task.is_done else None
+        if not task.is_done:
+            return None
+        self._there.popleft()
+        if self.head is not None:
+            self.head.since = now
+        return task
 
     def stumble(self, reason: str) -> Task | None:
         """Hear that the simulator ended of what it was at; gives that batch if it is done with.

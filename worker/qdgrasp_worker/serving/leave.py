@@ -7,6 +7,9 @@ from math import inf
 
 from qdgrasp_worker.serving.task import Task
 
+HAND_BACK = 0.3
+"""The last seconds of a grace, in which a batch that was not finished is handed back."""
+
 
 class Leave:
     """A worker's leave.
@@ -14,43 +17,50 @@ class Leave:
     Parameters
     ----------
     grace
-        Seconds that the batch in work may still take.
+        Seconds until the batch in work is finished or handed back.
     """
 
     def __init__(self, grace: float) -> None:
         self._grace = grace
-        self._deadline = inf
-        self._kept: Task | None = None
+        self._finish_by = inf
+        self._gone_by = inf
         self._told: set[str] = set()
+        self.kept: Task | None = None
+        """The batch that is to be finished before."""
 
     @property
     def has_begun(self) -> bool:
         """Nothing new is begun any more."""
-        return self._deadline < inf
+        return self._gone_by < inf
+
+    @property
+    def deadline(self) -> float:
+        """When something is to be done at the latest; infinite: nobody asked."""
+        return self._gone_by if self.kept is None else self._finish_by
 
     def at_once(self) -> None:
         """Leave whatever there is."""
-        self._deadline = -inf
+        self._gone_by = -inf
 
-    def begin(self, head: Task | None, jobs: set[str], now: float) -> Task | None:
-        """Leave soon; gives the batch that is finished before, if there is one.
+    def begin(self, head: Task | None, now: float) -> None:
+        """Leave soon, with `head`, the batch in work, finished before if that fits."""
+        self._finish_by = now + self._grace - HAND_BACK
+        self._gone_by = now + max(self._grace, HAND_BACK)
+        if head is not None and now + head.seconds_left(now) <= self._finish_by:
+            self.kept = head
 
-        Parameters
-        ----------
-        head
-            The batch in work.
-        jobs
-            Who is to hear which batches are handed back.
-        """
-        self._deadline = now + self._grace
-        self._kept = head if head is not None and seconds_left(head) <= self._grace else None
-        self._told = set(jobs)
-        return self._kept
+    def is_late(self, now: float) -> bool:
+        """Whether the batch that is kept has to be handed back now."""
+        return self.kept is not None and now >= self._finish_by
 
-    def finished(self, task: Task) -> None:
-        """Hear that a batch is done with."""
-        if task is self._kept:
-            self._kept = None
+    def forget(self, task: Task) -> None:
+        """Hear that a batch is done with, or handed back."""
+        if task is self.kept:
+            self.kept = None
+
+    def tell(self, job: str) -> None:
+        """Wait for a job to hear what is handed back."""
+        self._told.add(job)
 
     def heard(self, job: str) -> None:
         """Hear that a job knows, or cannot know, what is handed back."""
@@ -58,14 +68,4 @@ class Leave:
 
     def is_over(self, now: float) -> bool:
         """Whether it is time to go."""
-        return now >= self._deadline or (self.has_begun and self._kept is None and not self._told)
-
-    @property
-    def deadline(self) -> float:
-        """When it is time to go at the latest; infinite: nobody asked."""
-        return self._deadline
-
-
-def seconds_left(task: Task) -> float:
-    """What the rest of a batch takes by what its rows took [CPU s]; 0 while nobody knows."""
-    return task.cpu_seconds / task.done * (task.work.n - task.done) if task.done else 0.0
+        return now >= self._gone_by or (self.has_begun and self.kept is None and not self._told)

@@ -108,7 +108,9 @@ class WorkerService:
     def _act(self, now: float) -> None:
         """Do what is due."""
         self._workshop.tick(now)
-        self._feed()
+        self._feed(now)
+        if self._leave.is_late(now):
+            self._hand_back_all(now)
         if self._workshop.platform is not None:
             is_open = self._workshop.is_ready and not self._leave.has_begun
             self._memberships.join_due(now, self._workshop.platform, is_open=is_open)
@@ -180,19 +182,28 @@ class WorkerService:
         if self._stop.signal != signal.SIGTERM or self._leave.has_begun:
             self._leave.at_once()
             return
-        there = [appointment for appointment in self._jobs if appointment.alive and appointment.desk.held]
-        kept = self._leave.begin(self._workshop.head, {appointment.desk.job for appointment in there}, now)
-        for appointment in there:
-            appointment.desk.hand_back(keep=kept.work.batch if kept else None)
-            appointment.join_soon(now)
+        self._leave.begin(self._workshop.head, now)
+        self._hand_back_all(now)
+
+    def _hand_back_all(self, now: float) -> None:
+        """Hand all batches back but the one that is to be finished in time."""
+        if self._leave.is_late(now):
+            self._leave.kept = None
+        kept = self._leave.kept
+        for appointment in self._jobs:
+            if appointment.alive and appointment.desk.held:
+                appointment.desk.hand_back(keep=kept.work.batch if kept else None)
+                appointment.join_soon(now)
+                self._leave.tell(appointment.desk.job)
 
     # Batches go to the simulator, and come back.
 
-    def _feed(self) -> None:
+    def _feed(self, now: float) -> None:
         """Let the simulator have what it has room for."""
         while self._workshop.has_room and (task := self._next()) is not None:
             scene = task.work.scene
-            self._workshop.put(task, None if self._workshop.has_scene(scene) else self._scenes.take(scene))
+            bundle = None if self._workshop.has_scene(scene) else self._scenes.take(scene)
+            self._workshop.put(task, bundle, now)
 
     def _next(self) -> Task | None:
         """The next batch whose scene is at hand: first what was begun before, then by turns of the jobs."""
@@ -227,7 +238,7 @@ class WorkerService:
             if self._is_wanted(task):
                 self._send(task)
             self._release(task)
-            self._leave.finished(task)
+            self._leave.forget(task)
         for task in outcome.lost:
             self._hand_back(task, now)
 
@@ -239,7 +250,7 @@ class WorkerService:
     def _hand_back(self, task: Task, now: float) -> None:
         """Let a batch go; the next join, which does not list it, has it evaluated elsewhere."""
         self._release(task)
-        self._leave.finished(task)
+        self._leave.forget(task)
         appointment = self._jobs.get(task.job)
         if appointment is not None:
             appointment.join_later(now, jitter())

@@ -70,9 +70,14 @@ class Simulator:
         self._outbox.put(frame)
 
     @property
+    def pid(self) -> int:
+        """The id of its process."""
+        return self._process.pid
+
+    @property
     def vitals(self) -> Vitals:
         """What it takes of the processor and the memory."""
-        return vitals(self._process.pid)
+        return vitals(self.pid)
 
     def close(self) -> None:
         """End it at once, whatever it is at; closing twice is allowed."""

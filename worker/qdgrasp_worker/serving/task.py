@@ -1,4 +1,7 @@
-"""A task: a batch at the simulator, with what is known of its rows so far. Pure: no process, no clock."""
+"""A task: a batch at the simulator, with what is known of its rows so far. Pure: no process, no clock.
+
+Time is passed in, in seconds of any steady clock.
+"""
 
 from dataclasses import dataclass, field
 
@@ -18,6 +21,8 @@ class Task:
     """Its scene went along, and does not stand yet."""
     done: int = 0
     """How many of its rows are known."""
+    since: float = 0.0
+    """When the simulator came to it."""
     cpu_seconds: float = 0.0
     _parts: list[Part] = field(default_factory=list)
     _failures: list[Failure] = field(default_factory=list)
@@ -26,6 +31,11 @@ class Task:
     def is_done(self) -> bool:
         """All rows are known."""
         return self.done == self.work.n
+
+    def seconds_left(self, now: float) -> float:
+        """How long the rest takes if it goes on like this; while no row is known, as long as it took so far."""
+        passed = now - self.since
+        return passed / self.done * (self.work.n - self.done) if self.done else passed
 
     def request(self, bundle: bytes | None) -> Evaluate:
         """What the simulator is asked: to evaluate the rows that are not known yet."""

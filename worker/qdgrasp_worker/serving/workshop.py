@@ -117,10 +117,10 @@ class Workshop:
         """Whether the simulator was given a scene."""
         return digest in self._scenes
 
-    def put(self, task: Task, bundle: bytes | None) -> None:
+    def put(self, task: Task, bundle: bytes | None, now: float) -> None:
         """Let the simulator evaluate a batch, with its scene unless it has that."""
         self._simulator.say(task.request(bundle))
-        self._docket.send(task)
+        self._docket.send(task, now)
         self._scenes.add(task.work.scene)
 
     def drop(self, task: Task) -> None:
@@ -142,10 +142,10 @@ class Workshop:
         if news.simulator is not self._simulator or self.opens_at < inf:
             return Outcome()
         if isinstance(news, Heard):
-            return self._said(news.frame)
+            return self._said(news.frame, now)
         return self._ended(news, now)
 
-    def _said(self, frame: Said) -> Outcome:
+    def _said(self, frame: Said, now: float) -> Outcome:
         match frame:
             case Ready(platform=platform):
                 self._welcome(platform)
@@ -155,7 +155,7 @@ class Workshop:
                 self._scenes.discard(self.head.work.scene)
             case Part():
                 self._pauses = pauses()
-        done = self._docket.hear(frame)
+        done = self._docket.hear(frame, now)
         return Outcome(done=[done] if done else [])
 
     def _welcome(self, platform: dict[str, str]) -> None:

@@ -1,0 +1,123 @@
+"""A coordinator as a worker sees one: it lets workers in, leases what it was told to, and takes results."""
+
+import hashlib
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Self
+
+import msgspec
+
+from qdgrasp_protocol import chunks, codec
+from qdgrasp_protocol.bus import Channel, Query, Sample
+from qdgrasp_protocol.errors import Refused
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.messages import Control, Join, Joined, Result, Work
+
+PATIENCE = 60.0
+
+
+class Office:
+    """One job's coordinator on a local network; a context manager that closes it.
+
+    It leases as many batches as the worker has credit for, and the next when a result comes.
+    """
+
+    def __init__(
+        self, network: LocalNetwork, job: str = "job", epoch: int = 1, scene: bytes = b"a scene"
+    ) -> None:
+        self.bus = network.session()
+        self.job, self.epoch, self.scene = job, epoch, scene
+        self.digest = hashlib.sha256(scene).hexdigest()
+        self.joins: list[Join] = []
+        self.results: list[Result] = []
+        self.signs = 0
+        self.fetched = 0
+        self.workers: set[str] = set()
+        self.refusal = ""
+        self._keys = Keys(job)
+        self._tray: deque[Work] = deque()
+        self._leased: list[bytes] = []
+        self._changed = threading.Condition(threading.RLock())
+        self._stack = ExitStack()
+        self.told: Callable[[Result], object] = lambda result: None
+
+    def __enter__(self) -> Self:
+        enter = self._stack.enter_context
+        enter(self.bus)
+        enter(self.bus.answer(self._keys.join, self._admit))
+        enter(self.bus.answer(self._keys.asset(), self._hand_out))
+        enter(self.bus.subscribe(self._keys.result(), self._take))
+        enter(self.bus.subscribe(self._keys.stat("worker/*"), self._see))
+        enter(self.bus.watch(self._keys.worker_token(), self._notice))
+        enter(self.bus.token(self._keys.coordinator_token(self.epoch)))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def give(self, *works: Work) -> None:
+        """Have batches leased, now or when there is credit."""
+        with self._changed:
+            self._tray += [msgspec.structs.replace(work, scene=self.digest) for work in works]
+            self._lease()
+
+    def control(self, *drop: Work, drain: bool = False) -> None:
+        """Take batches back, or ask the worker to leave."""
+        message = Control(epoch=self.epoch, drop=[work.batch for work in drop], drain=drain)
+        wid, encoding = self.joins[-1].wid, codec.encoding(Control)
+        self.bus.put(self._keys.ctl(wid), codec.encode(message), encoding=encoding, channel=Channel.CONTROL)
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        """Wait until something holds that the worker makes true."""
+        with self._changed:
+            assert self._changed.wait_for(condition, PATIENCE), f"waited in vain for {what}"
+
+    def answered(self) -> list[int]:
+        """The first byte of each batch that was answered, in that order."""
+        return [result.batch[0] for result in self.results]
+
+    def _admit(self, query: Query) -> bytes:
+        if self.refusal:
+            raise Refused(self.refusal)
+        with self._changed:
+            join = codec.decode(query.payload, Join)
+            self.joins.append(join)
+            self._leased = list(join.held)
+            self._changed.notify_all()
+            # as on a real bus, work may arrive before the answer to the join does
+            self._lease()
+        return codec.encode(Joined(epoch=self.epoch, drop=[]))
+
+    def _hand_out(self, query: Query) -> bytes:
+        self.fetched += 1
+        return chunks.answer(query, self.scene, self.digest)
+
+    def _take(self, sample: Sample) -> None:
+        with self._changed:
+            result = codec.decode(sample.payload, Result)
+            self.results.append(result)
+            self.told(result)
+            if result.batch in self._leased:
+                self._leased.remove(result.batch)
+            self._lease()
+            self._changed.notify_all()
+
+    def _lease(self) -> None:
+        while self.joins and self._tray and len(self._leased) < self.joins[-1].credit:
+            work = msgspec.structs.replace(self._tray.popleft(), epoch=self.epoch, join=self.joins[-1].number)
+            self._leased.append(work.batch)
+            key = self._keys.work(self.joins[-1].wid)
+            self.bus.put(key, codec.encode(work), encoding=codec.encoding(Work))
+
+    def _see(self, sample: Sample) -> None:
+        with self._changed:
+            self.signs += 1
+            self._changed.notify_all()
+
+    def _notice(self, key: str, alive: bool) -> None:
+        with self._changed:
+            (self.workers.add if alive else self.workers.discard)(key.rsplit("/", 1)[-1])
+            self._changed.notify_all()

@@ -1,0 +1,101 @@
+"""A simulator with an evaluator that does what a genome says: the process, its line and its limits are real.
+
+`python -m tests.worker.serving.stand_in [LOG]`; LOG hears the number of every row that is begun.
+"""
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+from tests.worker.serving.batches import GENES
+
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_worker.evaluate import Evaluation
+from qdgrasp_worker.serving.child import TELL_INTERVAL, main
+
+COMMAND = [sys.executable, "-m", "tests.worker.serving.stand_in"]
+SHAPE = Shape(GENES, joints=2)
+PLATFORM = {"simulator": "a stand-in"}
+HELD: list[bytearray] = []
+
+
+def hang() -> None:
+    while True:
+        pass
+
+
+def dawdle() -> None:
+    """Take longer than the interval after which a simulator tells what it knows."""
+    began = monotonic()
+    while monotonic() < began + 2 * TELL_INTERVAL:
+        pass
+
+
+def sleep() -> None:
+    while True:
+        signal.pause()
+
+
+def fail() -> None:
+    raise ValueError("as the genome wants it")
+
+
+def leak() -> None:
+    HELD.append(bytearray(b"x" * 100_000_000))
+
+
+def take_everything() -> None:
+    while True:
+        leak()
+
+
+DEEDS: list[Callable[[], object]] = [
+    lambda: None,
+    os.abort,
+    hang,
+    sleep,
+    fail,
+    leak,
+    take_everything,
+    lambda: os.kill(os.getpid(), signal.SIGKILL),
+    lambda: os._exit(3),
+    dawdle,
+]
+"""By the second gene."""
+NOTHING, ABORT, HANG, SLEEP, RAISE, LEAK, TAKE_EVERYTHING, BE_KILLED, EXIT, DAWDLE = range(len(DEEDS))
+
+
+class StandIn:
+    """Its fitness is the first gene."""
+
+    def __init__(self, bundle: bytes) -> None:
+        match bundle:
+            case b"no scene":
+                raise AssetError("This is no scene.")
+            case b"abort":
+                os.abort()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def shape(self, prior: str) -> Shape:
+        return SHAPE
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        rows = SHAPE.empty(len(genomes))
+        for row, (number, deed) in zip(rows, genomes, strict=True):
+            for log in sys.argv[1:]:
+                with Path(log).open("a") as file:
+                    file.write(f"{number:.0f}\n")
+            DEEDS[int(deed)]()
+            row["fitness"] = number
+        return Evaluation(rows, [(i, "odd") for i in range(len(rows)) if genomes[i, 0] == 13])
+
+
+if __name__ == "__main__":
+    main(load=StandIn, probe=lambda: PLATFORM)

@@ -1,0 +1,267 @@
+"""A worker on the bus, with its simulator in a process: what it joins, serves, hands back and leaves."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from tests.worker.serving import stand_in
+from tests.worker.serving.batches import work
+from tests.worker.serving.office import PATIENCE, Office
+
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_worker.serving.bundles import Bundles
+from qdgrasp_worker.serving.events import Inbox
+from qdgrasp_worker.serving.frames import Settings
+from qdgrasp_worker.serving.memberships import RefusedByJob
+from qdgrasp_worker.serving.service import WorkerService
+from qdgrasp_worker.serving.simulator import Simulator
+from qdgrasp_worker.serving.workshop import Workshop
+
+GRACE = 20.0
+"""Long: what is finished within it is not a matter of how busy this machine is."""
+
+
+class Hired:
+    """A worker in a thread of its own."""
+
+    def __init__(self, network: LocalNetwork, job: str | None = None, grace: float = GRACE) -> None:
+        self.bus = network.session()
+        self.stop = Stop()
+        self.simulators: list[Simulator] = []
+        self.error: Exception | None = None
+        self._inbox: Inbox = SimpleQueue()
+        self._job = job
+        self._grace = grace
+        self.thread = threading.Thread(target=self._work, daemon=True)
+        self.thread.start()
+
+    def leave(self, number: int = signal.SIGTERM) -> None:
+        """Ask it to stop."""
+        self.stop.set(number)
+
+    def ended(self) -> bool:
+        """Wait for its end."""
+        self.thread.join(PATIENCE)
+        return not self.thread.is_alive()
+
+    def _hire(self) -> Simulator:
+        settings = Settings(row_seconds=PATIENCE, memory=900_000_000, nice=0)
+        self.simulators.append(Simulator(stand_in.COMMAND, settings, self._inbox.put))
+        return self.simulators[-1]
+
+    def _work(self) -> None:
+        workshop = Workshop(self._hire, row_seconds=PATIENCE, memory=900_000_000)
+        with workshop, self.bus:
+            service = WorkerService(
+                self.bus,
+                self.stop,
+                workshop,
+                self._inbox,
+                bundles=Bundles(None),
+                job=self._job,
+                grace=self._grace,
+            )
+            try:
+                service.run()
+            except RefusedByJob as error:
+                self.error = error
+
+
+@pytest.fixture
+def network() -> LocalNetwork:
+    return LocalNetwork()
+
+
+@pytest.fixture
+def hire(network: LocalNetwork) -> Iterator[Callable[..., Hired]]:
+    hired: list[Hired] = []
+
+    def hire(job: str | None = None, grace: float = GRACE) -> Hired:
+        hired.append(Hired(network, job, grace))
+        return hired[-1]
+
+    yield hire
+    for worker in hired:
+        worker.leave(signal.SIGINT)
+        assert worker.ended()
+
+
+@pytest.fixture
+def open_office(network: LocalNetwork) -> Iterator[Callable[..., Office]]:
+    with ExitStack() as stack:
+        yield lambda *arguments, **named: stack.enter_context(Office(network, *arguments, **named))
+
+
+def test_a_worker_fetches_a_scene_once_and_answers_every_batch(hire, open_office):
+    office = open_office()
+    hire()
+    office.give(*(work(batch, n=20) for batch in range(5)))
+    office.wait(lambda: len(office.results) == 5, "five results")
+    assert office.answered() == [0, 1, 2, 3, 4]
+    assert office.fetched == 1
+    assert (office.joins[0].platform, office.joins[0].credit) == (stand_in.PLATFORM, 2)
+    assert all(result.n == 20 and not result.failures[1:] for result in office.results)
+
+
+def test_jobs_share_a_worker_and_are_served_in_turn(hire, open_office):
+    one, other = open_office("one"), open_office("other")
+    order: list[str] = []
+    for office in (one, other):
+        office.told = lambda result, office=office: order.append(office.job)
+    hire()
+    for office in (one, other):
+        office.wait(lambda office=office: office.joins and office.joins[-1].credit == 1, "half of the credit")
+    one.give(*(work(batch) for batch in range(30)))
+    other.give(*(work(batch) for batch in range(10)))
+    one.wait(lambda: len(order) == 40, "all results")
+    there = [order[i] for i in range(order.index("other"), 40 - order[::-1].index("other"))]
+    assert abs(there.count("one") - there.count("other")) <= 2
+    assert one.fetched + other.fetched <= 2
+
+
+def test_a_job_that_ends_leaves_its_credit_to_the_others(hire, open_office, network):
+    one = open_office("one")
+    hire()
+    one.wait(lambda: one.joins, "a join")
+    with Office(network, "other") as other:
+        one.wait(lambda: one.joins[-1].credit == 1, "half of the credit")
+        other.wait(lambda: other.joins and other.joins[-1].credit == 1, "the other half")
+    one.wait(lambda: one.joins[-1].credit == 2, "all of the credit")
+
+
+def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alone(
+    hire, open_office, network
+):
+    office, other = open_office("drained"), open_office("other")
+    worker = hire()
+    office.wait(lambda: office.joins and office.joins[-1].credit == 1, "a join")
+    office.give(work(1, n=2, row_0=stand_in.DAWDLE))
+    office.control(drain=True)
+    office.wait(lambda: not office.workers, "the end of its token")
+    assert office.answered() == [1]
+    other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
+    worker.bus.cut()
+    worker.bus.mend()
+    other.wait(lambda: len(other.joins) > 2, "a join after the link was back")
+    other.give(work(2))
+    other.wait(lambda: other.results, "a result")
+
+
+def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(hire, open_office):
+    office = open_office()
+    worker = hire(job="job")
+    office.wait(lambda: office.joins, "a join")
+    office.control(drain=True)
+    assert worker.ended()
+
+
+def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(hire, open_office):
+    office = open_office()
+    worker = hire()
+    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(6)}
+    office.give(work(0), work(1, n=6, **dawdle), work(2), work(3))
+    office.wait(lambda: office.results, "a result")
+    worker.leave()
+    assert worker.ended()
+    last = office.joins[-1]
+    assert last.credit == 0
+    assert last.held == [work(1).batch]
+    assert office.answered() == [0, 1]
+
+
+def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(hire, open_office):
+    office = open_office()
+    worker = hire(grace=1.0)
+    office.give(work(0), work(1, n=3, row_1=stand_in.HANG))
+    office.wait(lambda: office.results, "a result")
+    worker.leave()
+    assert worker.ended()
+    assert (office.joins[-1].credit, office.joins[-1].held) == (0, [])
+    assert office.answered() == [0]
+
+
+@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGTERM]])
+def test_sigint_or_a_second_signal_ends_a_worker_whose_simulator_hangs(hire, open_office, signals):
+    office = open_office()
+    worker = hire()
+    office.give(work(0), work(1, row_0=stand_in.HANG))
+    office.wait(lambda: office.results, "a result")
+    for number in signals:
+        worker.leave(number)
+    assert worker.ended()
+    assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
+
+
+def test_what_a_killed_simulator_had_is_handed_back_and_the_next_one_goes_on(hire, open_office):
+    office = open_office()
+    worker = hire()
+    office.give(work(1, row_0=stand_in.HANG))
+    office.wait(lambda: office.signs, "a sign of progress")
+    os.kill(worker.simulators[0].pid, signal.SIGKILL)
+    office.wait(lambda: office.joins[-1].held == [] and office.joins[-1].number > 1, "a join without it")
+    office.wait(lambda: office.joins[-1].credit == 2, "a join with credit")
+    office.give(work(2))
+    office.wait(lambda: office.results, "a result")
+    assert office.answered() == [2]
+
+
+def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(hire, open_office):
+    office = open_office()
+    hire()
+    office.give(work(1, n=4, row_2=stand_in.ABORT), work(2))
+    office.wait(lambda: len(office.results) == 2, "two results")
+    assert [failure.row for failure in office.results[0].failures] == [2]
+    assert all(work(1).batch in join.held for join in office.joins[1:3])
+
+
+def test_a_batch_that_is_taken_back_is_not_answered(hire, open_office):
+    office = open_office()
+    hire()
+    office.give(work(1, n=5, row_0=stand_in.DAWDLE), work(2), work(3))
+    office.wait(lambda: office.fetched, "its beginning")
+    office.control(work(1))
+    office.wait(lambda: 3 in office.answered(), "the third")
+    assert office.answered() == [2, 3]
+
+
+def test_a_worker_that_its_only_job_refuses_says_why(hire, open_office):
+    office = open_office()
+    office.refusal = "another numpy"
+    worker = hire(job="job")
+    assert worker.ended()
+    assert "Job 'job' does not take this worker: another numpy" in str(worker.error)
+
+
+def test_a_worker_that_one_of_many_jobs_refuses_serves_the_others(hire, open_office):
+    refusing, other = open_office("refusing"), open_office("other")
+    refusing.refusal = "another numpy"
+    hire()
+    other.wait(lambda: other.joins and other.joins[-1].credit == 2, "all of the credit")
+    other.give(work(1))
+    other.wait(lambda: other.results, "a result")
+
+
+def test_a_scene_that_is_no_scene_fails_its_batches(hire, open_office):
+    office = open_office(scene=b"no scene")
+    hire()
+    office.give(work(1, n=2))
+    office.wait(lambda: office.results, "a result")
+    assert {failure.reason for failure in office.results[0].failures} == {"This is no scene."}
+
+
+def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office):
+    office = open_office()
+    worker = hire()
+    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(10)}
+    office.give(work(1, n=10, **dawdle))
+    office.wait(lambda: office.fetched, "its beginning")
+    worker.bus.cut()
+    worker.bus.mend()
+    office.wait(lambda: office.results, "a result")
+    assert office.joins[-1].held == [work(1).batch]

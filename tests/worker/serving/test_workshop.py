@@ -1,0 +1,196 @@
+"""Batches in a workshop whose simulators end in every way there is."""
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from queue import SimpleQueue
+from time import monotonic
+
+import numpy as np
+import pytest
+from tests.worker.serving import stand_in
+from tests.worker.serving.batches import work
+
+from qdgrasp_protocol.messages import Result, Work
+from qdgrasp_worker.serving.frames import Settings
+from qdgrasp_worker.serving.simulator import News, Simulator
+from qdgrasp_worker.serving.task import Task
+from qdgrasp_worker.serving.workshop import NoSimulator, Workshop
+
+PATIENCE = 60.0
+ROW_SECONDS = 0.4
+MEGABYTE = 1_000_000
+SCENE = b"a scene"
+
+
+class Hands:
+    """Puts batches into a workshop, and waits for what comes of them."""
+
+    def __init__(self, command: list[str]) -> None:
+        self.inbox: SimpleQueue[News] = SimpleQueue()
+        self.hired: list[Simulator] = []
+        self.command = command
+        self.settings = Settings(row_seconds=ROW_SECONDS, memory=900 * MEGABYTE, nice=0)
+        self.workshop = Workshop(self.hire, row_seconds=ROW_SECONDS, memory=250 * MEGABYTE)
+        self.done: list[Result] = []
+        self.lost: list[Task] = []
+
+    def hire(self) -> Simulator:
+        self.hired.append(Simulator(self.command, self.settings, self.inbox.put))
+        return self.hired[-1]
+
+    def hear(self) -> None:
+        """Take the next news, and have begun batches go on."""
+        patience = min(PATIENCE, max(0.0, self.workshop.opens_at - monotonic()))
+        if patience == PATIENCE:
+            outcome = self.workshop.hear(self.inbox.get(timeout=PATIENCE), monotonic())
+            self.done += [task.result("a" * 32) for task in outcome.done]
+            self.lost += outcome.lost
+        else:
+            self.workshop.tick(self.workshop.opens_at)
+        while self.workshop.has_room and (task := self.workshop.next_again):
+            self.put(task)
+
+    def put(self, task: Task, bundle: bytes = SCENE) -> None:
+        known = self.workshop.has_scene(task.work.scene)
+        self.workshop.put(task, None if known else bundle, monotonic())
+
+    def evaluate(self, batch: Work, bundle: bytes = SCENE) -> Result:
+        """The result of one batch."""
+        while not self.workshop.has_room:
+            self.hear()
+        self.put(Task("job", batch), bundle)
+        while not self.done:
+            self.hear()
+        return self.done.pop()
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "rows"
+
+
+@pytest.fixture
+def hands(log: Path) -> Iterator[Hands]:
+    hands = Hands([*stand_in.COMMAND, str(log)])
+    with hands.workshop:
+        yield hands
+
+
+def fitness(result: Result) -> list[float]:
+    return np.frombuffer(result.columns["fitness"], "<f4").tolist()
+
+
+def test_a_batch_comes_back_with_the_rows_in_order(hands):
+    result = hands.evaluate(work(n=40))
+    assert fitness(result) == list(range(40))
+    assert [(failure.row, failure.reason) for failure in result.failures] == [(13, "odd")]
+    assert hands.workshop.platform == stand_in.PLATFORM
+    assert len(hands.hired) == 1
+
+
+@pytest.mark.parametrize(
+    ("deed", "reason"),
+    [
+        (stand_in.ABORT, "the simulator was ended by SIGABRT"),
+        (stand_in.HANG, f"the simulator took more than {ROW_SECONDS} CPU seconds"),
+        (stand_in.SLEEP, f"the simulator took more than {ROW_SECONDS} CPU seconds"),
+        (stand_in.RAISE, "ValueError: as the genome wants it"),
+        (stand_in.EXIT, "the simulator ended with exit code 3"),
+        (stand_in.TAKE_EVERYTHING, "MemoryError: "),
+    ],
+)
+def test_the_row_that_ends_a_simulator_is_found_and_the_others_are_evaluated(hands, deed, reason):
+    result = hands.evaluate(work(n=20, row_7=deed))
+    assert [(failure.row, failure.reason) for failure in result.failures] == [(7, reason), (13, "odd")]
+    assert fitness(result) == [0 if row == 7 else row for row in range(20)]
+    assert len(hands.hired) == 3
+
+
+def test_two_rows_that_end_simulators_are_both_found(hands):
+    result = hands.evaluate(work(n=8, row_0=stand_in.ABORT, row_7=stand_in.RAISE))
+    assert [failure.row for failure in result.failures] == [0, 7]
+    assert fitness(result) == [0, 1, 2, 3, 4, 5, 6, 0]
+
+
+def test_rows_that_are_known_are_not_evaluated_again(hands, log):
+    hands.evaluate(work(n=20, row_1=stand_in.DAWDLE, row_18=stand_in.ABORT))
+    begun = [int(line) for line in log.read_text().split()]
+    assert [begun.count(row) for row in (0, 15, 16, 17, 18, 19)] == [1, 1, 2, 2, 2, 1]
+
+
+def test_the_batch_that_waits_behind_goes_to_the_next_simulator(hands):
+    while not hands.workshop.has_room:
+        hands.hear()
+    hands.put(Task("job", work(1, n=3, row_1=stand_in.ABORT)))
+    hands.put(Task("job", work(2, n=3)))
+    assert not hands.workshop.has_room
+    while len(hands.done) < 2:
+        hands.hear()
+    first, second = hands.done
+    assert [failure.row for failure in first.failures] == [1]
+    assert (second.batch, second.failures, fitness(second)) == (work(2).batch, [], [0, 1, 2])
+
+
+def test_a_kill_from_outside_says_nothing_against_a_row(hands):
+    while not hands.workshop.has_room:
+        hands.hear()
+    hands.put(Task("job", work(n=3, row_1=stand_in.BE_KILLED)))
+    while not hands.lost:
+        hands.hear()
+    assert hands.done == []
+    assert [task.work.batch for task in hands.lost] == [work().batch]
+    assert fitness(hands.evaluate(work(2, n=3))) == [0, 1, 2]
+
+
+def test_a_simulator_heeds_no_signal_that_is_meant_for_its_worker(hands):
+    hands.evaluate(work(1))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(hands.hired[0].pid, number)
+    assert hands.evaluate(work(2, n=3)).failures == []
+    assert len(hands.hired) == 1
+
+
+def test_a_scene_that_cannot_be_used_fails_its_batch_and_no_simulator(hands):
+    result = hands.evaluate(work(n=2), b"no scene")
+    assert {failure.reason for failure in result.failures} == {"This is no scene."}
+    assert fitness(hands.evaluate(work(n=2, scene="1" * 64))) == [0, 1]
+    assert len(hands.hired) == 1
+
+
+def test_a_scene_that_ends_the_simulator_fails_its_batch_at_once(hands):
+    result = hands.evaluate(work(n=20), b"abort")
+    reasons = {failure.reason for failure in result.failures}
+    assert reasons == {"the simulator was ended by SIGABRT while it loaded the scene"}
+    assert len(result.failures) == 20
+    assert len(hands.hired) == 1
+
+
+def test_a_scene_that_a_simulator_no_longer_has_is_given_to_it_again(hands):
+    scenes = [f"{number:064x}" for number in range(9)]
+    for number, scene in enumerate(scenes):
+        hands.evaluate(work(number, scene=scene))
+    assert fitness(hands.evaluate(work(9, n=3, scene=scenes[0]))) == [0, 1, 2]
+
+
+def test_a_simulator_that_takes_too_much_memory_is_replaced_between_batches(hands):
+    leaks = {f"row_{row}": stand_in.LEAK for row in range(3)}
+    while not hands.workshop.has_room:
+        hands.hear()
+    hands.put(Task("job", work(1, n=4, **leaks)))
+    while not hands.done:
+        hands.hear()
+    assert fitness(hands.done.pop()) == [0, 1, 2, 3]
+    hands.workshop.look()
+    assert not hands.workshop.has_room
+    hands.workshop.tick(monotonic())
+    assert fitness(hands.evaluate(work(2, n=3))) == [0, 1, 2]
+    assert len(hands.hired) == 2
+    assert hands.lost == []
+
+
+def test_a_simulator_that_does_not_start_is_said_with_its_reason():
+    hands = Hands([*stand_in.COMMAND[:2], "tests.worker.serving.no_such_module"])
+    with hands.workshop, pytest.raises(NoSimulator, match="ended with exit code 1"):
+        hands.hear()
