@@ -54,16 +54,18 @@ class CampaignRuns:
         """
         if not self._left:
             return None
-        name = self._left[0]
+        name = self._left.popleft()
         try:
-            made = self._make(name, self._runs[name])
+            return self._make(name, self._runs[name])
         except DiskFull:
+            self.put_back(name)
             raise
         except InputError as error:
-            self._left.popleft()
             raise RunFailed(name, str(error)) from None
-        self._left.popleft()
-        return made
+
+    def put_back(self, run: str) -> None:
+        """Have a run made again, before any other."""
+        self._left.appendleft(run)
 
     def _is_done(self, name: str, spec: RunSpec) -> bool:
         """Whether a run is finished; what it found is then added to the extent."""

@@ -1,10 +1,11 @@
 """Files that hold their old bytes or their new ones, never a part of either; and disks that are full."""
 
 import errno
+import fcntl
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from qdgrasp_protocol.errors import DiskFull, FolderError
@@ -48,8 +49,10 @@ def create(path: Path, files: Mapping[str, bytes], folders: Iterable[str] = ()) 
     whole = path.absolute()
     part = whole.with_name(f".{whole.name}.{os.getpid()}.part")
     try:
-        with writing(path):
+        with writing(path), ExitStack() as stack:
+            _sweep(whole)
             part.mkdir(parents=True)
+            stack.enter_context(_held(part))
             for name, payload in files.items():
                 write(part / name, payload)
             for name in folders:
@@ -58,6 +61,32 @@ def create(path: Path, files: Mapping[str, bytes], folders: Iterable[str] = ()) 
             sync(whole.parent)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _sweep(whole: Path) -> None:
+    """Remove what processes that were killed had made of a folder."""
+    parent = whole.parent
+    for part in parent.iterdir() if parent.is_dir() else ():
+        if part.is_dir() and part.name.startswith(f".{whole.name}.") and part.suffix == ".part":
+            with suppress(BlockingIOError), _held(part):
+                shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold a folder that is being made; the kernel frees it when this process dies.
+
+    Raises
+    ------
+    BlockingIOError
+        Another process does.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
 
 
 def check_free(path: Path) -> None:

@@ -40,6 +40,7 @@ class Lanes:
         stop: Stop,
     ) -> None:
         self._extent = programme.extent
+        self._programme = programme
         self._opener = Opener(programme, make_record, tell, stop)
         self._is_opening = False
         self._all_opened = False
@@ -116,6 +117,13 @@ class Lanes:
         del self._open[lane.run]
         self._done += 1
         self._found += Totals.of(lane.tally)
+
+    def reopen(self, lane: Lane) -> None:
+        """Let go of a run whose records are less than they were, to go on with it from what there is."""
+        del self._open[lane.run]
+        self._replayed -= lane.replayed
+        self._programme.put_back(lane.run)
+        self._all_opened = False
 
     def close(self) -> None:
         """Stop opening."""

@@ -1,5 +1,6 @@
 """The programme of a job: its runs, one after the other, each made when its turn comes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -41,14 +42,34 @@ class Programme(Protocol):
             There is no room for it now; it is made when `next` is called again and there is.
         """
 
+    def put_back(self, run: str) -> None:
+        """Have `next` make a run again, before any other: it is to be gone on with from its records.
+
+        May be called in another thread than `next`.
+        """
+
 
 class Single:
-    """The programme of a job with one run."""
+    """The programme of a job with one run.
 
-    def __init__(self, assignment: Assignment) -> None:
-        self.extent = Extent(runs=1, evaluations=assignment.evaluations)
-        self._left = [assignment]
+    Parameters
+    ----------
+    make
+        Makes the run, at its very beginning.
+    evaluations
+        Its budget.
+    """
+
+    def __init__(self, make: Callable[[], Assignment], evaluations: int) -> None:
+        self.extent = Extent(runs=1, evaluations=evaluations)
+        self._make = make
+        self._is_due = True
 
     def next(self) -> Assignment | None:
-        """The run, once."""
-        return self._left.pop() if self._left else None
+        """The run, whenever it is due."""
+        is_due, self._is_due = self._is_due, False
+        return self._make() if is_due else None
+
+    def put_back(self, run: str) -> None:
+        """Have it made again."""
+        self._is_due = True

@@ -9,7 +9,7 @@ from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.stretch import Stretch, from_message, to_message
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import InputError, NoReply, Refused
+from qdgrasp_protocol.errors import EndedEarly, InputError, NoReply, RecorderFellBack, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import (
     Log,
@@ -155,9 +155,15 @@ class RecorderLink(Record):
 
     def heard(self, message: Recorded, now: float) -> None:
         """Take note of what is durable."""
-        if message.run == self._run and message.epoch == self._epoch:
+        if message.epoch > self._epoch > 0:
+            raise EndedEarly(f"Another coordinator of job '{self._job}' took over (epoch {message.epoch}).")
+        if message.run != self._run or message.epoch != self._epoch:
+            return
+        self.trouble = message.trouble
+        try:
             self._outbox.durable(message.durable, now)
-            self.trouble = message.trouble
+        except RecorderFellBack as fallen:
+            raise fallen.of(self._run) from None
 
     def recorder_up(self, now: float) -> None:
         """A recorder appeared: send again what is not durable."""

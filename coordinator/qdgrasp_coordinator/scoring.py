@@ -51,14 +51,16 @@ def score(
             bus,
             stop,
             job=JOB,
-            programme=Single(assignment),
+            programme=Single(lambda: assignment, len(poses)),
             make_record=lambda _: memory,
             batch_size=team.batch_size,
         )
 
         def look(now: float) -> None:
+            figures = service.figures(now)
+            watch.progressed(figures)
             watch.look(now)
-            display.show(service.figures(now))
+            display.show(figures)
 
         service.run(look)
     return memory.rows

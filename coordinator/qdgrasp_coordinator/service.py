@@ -26,7 +26,7 @@ from qdgrasp_coordinator.record import Record
 from qdgrasp_coordinator.turn import Turn
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import EndedEarly, Refused, RunFailed
+from qdgrasp_protocol.errors import EndedEarly, RecorderFellBack, Refused, RunFailed
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import Message, Opened, Order
@@ -158,7 +158,13 @@ class CoordinatorService:
                 self._board.token_changed(key, alive)
                 self._turn.take(event, now)
             case _:
-                self._turn.take(event, now)
+                self._hear(event, now)
+
+    def _hear(self, event: Event, now: float) -> None:
+        try:
+            self._turn.take(event, now)
+        except RecorderFellBack as fallen:
+            self._mend(fallen)
 
     # Some end before they are done.
 
@@ -228,6 +234,14 @@ class CoordinatorService:
 
     def _new_turn(self, epoch: int) -> Turn:
         return Turn(self._job, epoch, self._lanes, self._put, self._batch_size)
+
+    def _mend(self, fallen: RecorderFellBack) -> None:
+        """Go on with a run from what is left of its records: what is missing is evaluated again."""
+        lane = self._lanes.get(fallen.run)
+        if lane is not None:
+            log.warning("a run goes on from fewer records", run=lane.run, reason=str(fallen))
+            self._turn.withdraw(lane.run)
+            self._lanes.reopen(lane)
 
     def _failed(self, reason: Exception) -> None:
         """Go on without a run that cannot be carried out; raise every other error."""

@@ -167,7 +167,7 @@ class Turn:
         if settled.kind is Settlement.FRESH and settled.rows is not None:
             lane.record.push(lane.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
             if lane.pipeline.finished is not None:
-                self._withdraw(lane.run)
+                self.withdraw(lane.run)
 
     def _take_recorded(self, report: Recorded, now: float) -> None:
         lane = self._lanes.get(report.run)
@@ -231,7 +231,7 @@ class Turn:
         """Ask and lease nothing any more, and take back what is out; what was found is still recorded."""
         self.is_ending = True
         for lane in self._lanes:
-            self._withdraw(lane.run)
+            self.withdraw(lane.run)
 
     def _figures(self, member: Member, now: float) -> WorkerFigures:
         join = self._joins[member.wid]
@@ -245,8 +245,8 @@ class Turn:
             seconds=now - member.since,
         )
 
-    def _withdraw(self, run: str) -> None:
-        """Have nobody work on what a finished run does not need any more."""
+    def withdraw(self, run: str) -> None:
+        """Have nobody work on a run any more."""
         for wid, batches in self.dispatch.withdraw(run).items():
             self._drop(wid, batches)
 

@@ -10,12 +10,13 @@ from queue import SimpleQueue
 
 import numpy as np
 from tests.coordinator.plans import SHAPE, Plan, evaluate
+from tests.coordinator.recording import JOB
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.programme import Extent
-from qdgrasp_coordinator.record import Memory
+from qdgrasp_coordinator.record import Memory, Record, RecorderLink
 from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Sample
@@ -25,10 +26,11 @@ from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.local_bus import LocalNetwork
 from qdgrasp_protocol.messages import Control, Join, Joined, Opened, OpenRun, Result, Work
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
+from qdgrasp_protocol.spec import RunSpec, to_toml
 
-JOB = "many"
 SOON = 20.0
 PLATFORM = {"pybullet": "3.2.7"}
+SPEC = to_toml(RunSpec(gripper="hand", object="thing")).encode()
 WORK = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for seed in range(6)}
 
@@ -46,7 +48,8 @@ class Runs:
 
     def __init__(self, plans: dict[str, Plan | None]) -> None:
         self.extent = Extent(runs=len(plans), evaluations=sum(p.evaluations for p in plans.values() if p))
-        self._left = list(plans.items())
+        self._plans = plans
+        self._left = list(plans)
         self.pipelines: list[weakref.ref[Pipeline]] = []
         self.has_room = threading.Event()
         self.has_room.set()
@@ -56,13 +59,17 @@ class Runs:
             return None
         if not self.has_room.is_set():
             raise DiskFull("There is no room.")
-        name, plan = self._left.pop(0)
+        name = self._left.pop(0)
+        plan = self._plans[name]
         if plan is None:
             raise RunFailed(name, "Its mesh is no mesh.")
         pipeline = plan.pipeline()
         self.pipelines.append(weakref.ref(pipeline))
         bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
-        return Assignment(name, b"", bundle, "none", SHAPE, pipeline, plan.evaluations)
+        return Assignment(name, SPEC, bundle, "none", SHAPE, pipeline, plan.evaluations)
+
+    def put_back(self, run: str) -> None:
+        self._left.insert(0, run)
 
 
 class Pretender:
@@ -162,21 +169,30 @@ class Job:
 
     Parameters
     ----------
+    recorded
+        Whether a recorder keeps them instead.
     kinds
         The records of some runs, where they are not simply `Memory`.
     """
 
     def __init__(
-        self, plans: dict[str, Plan | None], *, seconds: float | None = None, **kinds: type[Memory]
+        self,
+        plans: dict[str, Plan | None],
+        *,
+        seconds: float | None = None,
+        recorded: bool = False,
+        **kinds: type[Memory],
     ) -> None:
         self._kinds = kinds
+        self._recorded = recorded
         self.programme = Runs(plans)
         self.network = LocalNetwork()
         self.stop = Stop()
         self.records: dict[str, Memory] = {}
         self.open: list[int] = []
+        self.bus = self.network.session()
         self.service = CoordinatorService(
-            self.network.session(),
+            self.bus,
             self.stop,
             job=JOB,
             programme=self.programme,
@@ -185,7 +201,9 @@ class Job:
             seconds=seconds,
         )
 
-    def _record(self, assignment: Assignment) -> Memory:
+    def _record(self, assignment: Assignment) -> Record:
+        if self._recorded:
+            return RecorderLink(self.bus, JOB, SHAPE)
         kind = self._kinds.get(assignment.run, Memory)
         return self.records.setdefault(assignment.run, kind(SHAPE))
 

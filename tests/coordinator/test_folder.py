@@ -1,3 +1,4 @@
+import fcntl
 import os
 import subprocess
 import sys
@@ -145,3 +146,17 @@ def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder)
     folder.job.check_not_in_use()
     with folder.job.lock(), pytest.raises(FolderError, match=f"in use by process {os.getpid()}"):
         folder.job.check_not_in_use()
+
+
+def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_makes_is_left(
+    tmp_path: Path,
+) -> None:
+    left, held = (tmp_path / f".run.{number}.part" for number in (1, 2))
+    for part in (left, held):
+        part.mkdir()
+        (part / "spec.toml").write_text("half")
+    handle = os.open(held, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
+    os.close(handle)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [held.name, "run"]

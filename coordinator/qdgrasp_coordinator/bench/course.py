@@ -107,12 +107,14 @@ class Course:
         watch, steps = Watch(crew, self._display), self._steps(crew, endpoint)
 
         def look(now: float) -> None:
+            watch.progressed(service.figures(now))
             watch.look(now)
             if next(steps, _END) is _END:
                 over.set(0)
 
+        programme = Single(lambda: self._assignment, ENDLESS)
         service = CoordinatorService(
-            bus, over, job=JOB, programme=Single(self._assignment), make_record=lambda _: self._record
+            bus, over, job=JOB, programme=programme, make_record=lambda _: self._record
         )
         with bus.subscribe(Keys(JOB).result(), self._stopwatch.take):
             service.run(look)

@@ -89,7 +89,7 @@ def programme_of(what: Path, folder: JobFolder | None) -> Programme:
     else:
         run = RunFolder.open(what)
         spec, scene, bundle = run.spec, run.scene(), run.bundle()
-    return Single(preparation.assignment(spec, scene, bundle))
+    return Single(lambda: preparation.assignment(spec, scene, bundle), spec.evaluations)
 
 
 def _session(
