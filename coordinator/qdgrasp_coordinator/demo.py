@@ -15,7 +15,7 @@ from qdgrasp_coordinator.supervisor import Team
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.errors import FolderError
 
-SPEC = {"gripper": "panda", "object": "mug", "evaluations": 9000}
+SPEC = {"gripper": "panda", "object": "mug", "evaluations": 3000}
 MARKER = ".qdgrasp-demo"
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
