@@ -127,8 +127,9 @@ class WorkerService:
 
     def _patience(self, now: float) -> float | None:
         """Seconds to wait for the inbox; None: for ever."""
+        join_at = inf if self._workshop.platform is None else self._jobs.next_join()
         sign_at = inf if self._workshop.head is None else self._sign_at
-        first = min(self._jobs.next_join(), self._leave.deadline, self._workshop.opens_at, sign_at)
+        first = min(join_at, self._leave.deadline, self._workshop.opens_at, sign_at)
         return None if first == inf else max(0.0, first - now)
 
     def _hear(self, patience: float | None) -> None:
