@@ -33,7 +33,7 @@ class Task:
         return self.done == self.work.n
 
     def seconds_left(self, now: float) -> float:
-        """How long the rest takes if it goes on like this; while no row is known, as long as it took so far."""
+        """How long the rest takes if it goes on like this; while no row is known, as long as until now."""
         passed = now - self.since
         return passed / self.done * (self.work.n - self.done) if self.done else passed
 
