@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 PORT_TRIES = 3
 """How many free ports are tried where somebody else is quicker."""
-SLICE = 2.0  # seconds of one try to connect; between two of them a signal is heard
+SLICE = 1.0  # seconds of one try to connect; between two of them a signal is heard
 REFUSAL = "text/plain;qdgrasp.refusal"
 """The encoding of a refusal; an error reply without it is zenoh's own (a time-out)."""
 

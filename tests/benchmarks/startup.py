@@ -58,7 +58,7 @@ class Moment:
     wall: float
     """[s]."""
     cpu: float
-    """CPU seconds of the process, of all its threads; to 10 ms."""
+    """CPU seconds of the worker and its simulator, of all their threads; to 10 ms."""
 
 
 Course = dict[str, Moment]
@@ -152,9 +152,10 @@ def started(endpoint: str, cache: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def cpu_seconds(pid: int) -> float:
-    """What a process has had of the CPU."""
+    """What a process and those it started have had of the CPU."""
     user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
-    return (int(user) + int(system)) / TICKS
+    started = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return (int(user) + int(system)) / TICKS + sum(cpu_seconds(int(child)) for child in started)
 
 
 def middle(courses: list[Course]) -> Course:

@@ -45,12 +45,14 @@ def node() -> Node:
 
 
 def peak_memory(pid: int) -> int:
-    """The most memory that a process has had [bytes]; 0 where that is not known."""
+    """The most memory that a process and those it started have had [bytes]; 0 where that is not known."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        started = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     except OSError:
         return 0
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)
+    own = next((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)
+    return own + sum(peak_memory(int(child)) for child in started)
 
 
 def _processor() -> str:

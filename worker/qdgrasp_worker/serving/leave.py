@@ -7,7 +7,7 @@ from math import inf
 
 from qdgrasp_worker.serving.task import Task
 
-HAND_BACK = 0.3
+HAND_BACK = 0.5
 """The last seconds of a grace, in which a batch that was not finished is handed back."""
 
 
