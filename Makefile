@@ -7,7 +7,7 @@ PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11
 # One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
 IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 
-.PHONY: help demo test test-slow check bench scale results results-page clean
+.PHONY: help demo test test-slow check bench scale results results-page lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
 	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
@@ -15,6 +15,7 @@ help:
 	@echo "make bench   what everything costs on this machine, and where the time goes (runs/bench)"
 	@echo "make scale   how far a coordinator goes, with workers that only answer; two minutes (runs/scale.json)"
 	@echo "make results the runs whose results are missing, cheapest first; can be stopped (docs/results)"
+	@echo "make lock    write the lock files that images are built from (deploy/container)"
 	@echo "make clean   remove the environment and the caches of the tools"
 
 demo: $(VENV)/.installed
@@ -43,6 +44,15 @@ results: $(VENV)/.ready
 
 results-page: $(VENV)/.ready
 	@$(BIN)/python -m tests.benchmarks.results page
+
+# Versions that are locked stay unless they must change; UPGRADE=--upgrade takes the latest.
+LOCK = $(BIN)/uv pip compile --quiet --generate-hashes --only-binary :all: --python-version 3.11 --python-platform linux \
+  --custom-compile-command "make lock" $(UPGRADE)
+lock: $(VENV)/.ready
+	$(LOCK) pyproject.toml --output-file deploy/container/requirements.txt
+	$(LOCK) deploy/container/worker.in --constraints deploy/container/requirements.txt \
+	  --output-file deploy/container/worker.txt
+	$(LOCK) deploy/container/build.in --output-file deploy/container/build.txt
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

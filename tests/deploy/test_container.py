@@ -1,0 +1,146 @@
+import json
+import re
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from tests.deploy.commands import COMMANDS, DEPLOY, understood
+
+ROOT = DEPLOY.parent
+CONTAINER = DEPLOY / "container"
+IMAGES = {"worker": ["qdgrasp-worker"], "head": ["qdgrasp"]}
+"""What each image starts."""
+SERVICES = ("router", "coordinator", "recorder", "worker")
+SECRETS = "/run/secrets"
+
+
+def instructions() -> list[tuple[str, str]]:
+    """The instructions of the Containerfile with their arguments."""
+    text = re.sub(r"^#.*\n", "", (CONTAINER / "Containerfile").read_text(), flags=re.MULTILINE)
+    lines = text.replace("\\\n", " ").splitlines()
+    return [(verb, rest.strip()) for verb, _, rest in (line.partition(" ") for line in lines if line)]
+
+
+def stages() -> dict[str, list[tuple[str, str]]]:
+    found: dict[str, list[tuple[str, str]]] = {}
+    for verb, rest in instructions():
+        if verb == "FROM":
+            found[rest.split()[2]] = []
+        if found:
+            list(found.values())[-1].append((verb, rest))
+    return found
+
+
+def lineage(stage: str) -> list[tuple[str, str]]:
+    """The instructions of a stage and of those that it stands on."""
+    own = stages()[stage]
+    base = own[0][1].split()[0]
+    return [*(lineage(base) if base in stages() else []), *own]
+
+
+def is_sent(path: str) -> bool:
+    """Whether an image may be built of a file."""
+    lines = (ROOT / ".containerignore").read_text().splitlines()
+    kept = [line[1:] for line in lines if line.startswith("!")]
+    return any(path == each or path.startswith(f"{each}/") or fnmatch(path, each) for each in kept)
+
+
+def compose() -> dict[str, Any]:
+    loaded: dict[str, Any] = yaml.safe_load((CONTAINER / "compose.yaml").read_text())
+    return loaded
+
+
+def test_what_is_copied_is_there_and_is_sent_to_the_builder() -> None:
+    copied = [
+        source
+        for verb, rest in instructions()
+        if verb == "COPY" and "--from" not in rest
+        for source in rest.split()[:-1]
+    ]
+    assert len(copied) > 8
+    assert [source for source in copied if not (ROOT / source).exists() or not is_sent(source)] == []
+
+
+def test_every_room_of_the_wheel_is_copied() -> None:
+    copied = {rest.split()[0] for verb, rest in instructions() if verb == "COPY"}
+    assert {"assets", "coordinator", "protocol", "worker", "pyproject.toml"} <= copied
+
+
+def test_nothing_is_installed_that_is_not_locked() -> None:
+    installs = [
+        part
+        for verb, rest in instructions()
+        if verb == "RUN"
+        for part in rest.split("&&")
+        if "pip" in part and "install" in part
+    ]
+    assert len(installs) == 5
+    assert all("--require-hashes" in each or "--no-index" in each for each in installs)
+
+
+@pytest.mark.parametrize("image", IMAGES)
+def test_an_image_starts_a_command_as_nobody_in_particular(image: str) -> None:
+    steps = dict(lineage(image))
+    assert json.loads(steps["ENTRYPOINT"]) == IMAGES[image]
+    assert set(IMAGES[image]) <= set(COMMANDS)
+    assert int(steps["USER"].partition(":")[0]) > 0
+    assert steps["STOPSIGNAL"] == "SIGTERM"
+
+
+def test_an_image_is_tried_where_it_is_built() -> None:
+    runs = [part.strip() for verb, rest in instructions() if verb == "RUN" for part in rest.split("&&")]
+    tried = [part.split() for part in runs if part.startswith("/opt/qdgrasp/bin/")]
+    assert [Path(words[0]).name for words in tried] == ["qdgrasp-worker", "qdgrasp"]
+    assert all(understood(words) is not None for words in tried)
+
+
+def test_builders_of_both_kinds_leave_the_same_out() -> None:
+    assert (ROOT / ".dockerignore").read_text() == (ROOT / ".containerignore").read_text()
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_a_service_starts_a_command_with_options_that_it_has(name: str) -> None:
+    service = compose()["services"][name]
+    started = service.get("entrypoint") or IMAGES[service["build"]["target"]]
+    assert str(understood([*started, *service["command"]])["security"]) == SECRETS
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_a_service_has_the_certificates_of_its_role_and_no_others(name: str) -> None:
+    whole = compose()
+    needed = {"ca.pem", f"{name}.pem", f"{name}.key"} | ({"router.json5"} if name == "router" else set())
+    assert set(whole["services"][name]["secrets"]) == needed
+    assert all(whole["secrets"][each]["file"].endswith(f"}}/{each}") for each in needed)
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_a_service_may_write_only_where_it_is_given_a_place(name: str) -> None:
+    service = compose()["services"][name]
+    assert service["read_only"] is True
+    assert service["cap_drop"] == ["ALL"]
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert service["build"]["target"] in stages()
+    assert (CONTAINER / service["build"]["context"]).resolve() == ROOT
+
+
+def test_coordinator_and_recorder_are_of_one_job() -> None:
+    services = compose()["services"]
+    jobs = {understood([f"qdgrasp-{name}", *services[name]["command"]])["job"] for name in SERVICES[1:3]}
+    assert len(jobs) == 1
+
+
+def test_workers_are_waited_for_longer_than_their_grace() -> None:
+    worker = compose()["services"]["worker"]
+    grace = understood(["qdgrasp-worker", *worker["command"]])["grace"]
+    assert grace + 3 <= float(worker["stop_grace_period"].removesuffix("s"))
+
+
+def test_records_outlive_their_containers() -> None:
+    whole = compose()
+    (volume,) = whole["services"]["recorder"]["volumes"]
+    name, _, place = volume.partition(":")
+    assert name in whole["volumes"]
+    recorder = understood(["qdgrasp-recorder", *whole["services"]["recorder"]["command"]])
+    assert Path(place) in recorder["out"].parents
