@@ -1,6 +1,6 @@
 """The backlog: rows of all runs that wait for a worker, and whose turn it is."""
 
-import struct
+import secrets
 from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field
@@ -19,14 +19,12 @@ class Backlog:
 
     Parameters
     ----------
-    epoch
-        The coordinator's turn at the job: batch ids are never used again, in no other turn either.
     batch_size
         Rows in a batch; None: measured.
     """
 
-    def __init__(self, epoch: int, batch_size: int | None) -> None:
-        self._epoch = epoch
+    def __init__(self, batch_size: int | None) -> None:
+        self._turn = secrets.token_bytes(8)
         self._batch_size = batch_size
         self._queues: dict[str, _Queue] = {}
         self._cut = 0
@@ -105,8 +103,9 @@ class Backlog:
         return chunk.part(self._new_id(), slice(n))
 
     def _new_id(self) -> bytes:
+        """An id that no other batch has, nor had in any turn: epochs come again where a disk was restored."""
         self._cut += 1
-        return struct.pack(">QQ", self._epoch, self._cut)
+        return self._turn + self._cut.to_bytes(8)
 
 
 @dataclass

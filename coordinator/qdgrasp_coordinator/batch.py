@@ -23,7 +23,7 @@ class Batch:
     """Rows of one generation of one run that are leased together."""
 
     id: bytes
-    """16 bytes: epoch and counter, not used again in the job."""
+    """16 bytes: random ones of the turn and a counter, not used again in the job."""
     run: str
     scene: str
     """The scene bundle's sha256."""

@@ -48,7 +48,7 @@ class Dispatch:
     def __init__(self, epoch: int, batch_size: int | None = None) -> None:
         self.counters = dict.fromkeys((*(kind.value for kind in Settlement), *_COUNTED), 0)
         """What was seen: each kind of result, batches leased and queued again, rows failed and given up."""
-        self._backlog = Backlog(epoch, batch_size)
+        self._backlog = Backlog(batch_size)
         self._roster = Roster()
         self._tickets = Tickets(epoch)
 
