@@ -47,13 +47,11 @@ class Appointment:
 
     def meet(self, epoch: int, alive: bool, now: float) -> None:
         """Hear that a coordinator's token is there, or is gone."""
-        if not alive:
-            self._there.discard(epoch)
-            self.desk.is_orphaned |= epoch == self.desk.epoch
-            return
-        self._there.add(epoch)
-        if self.desk.follows(epoch):
-            self.join_soon(now)
+        (self._there.add if alive else self._there.discard)(epoch)
+        is_left = not alive and epoch == self.desk.epoch
+        self.desk.is_orphaned |= is_left
+        if is_left or (alive and self.desk.follows(epoch)):
+            self.join_soon(now)  # where it is left, whoever else is there: it may have answered for that one
 
     def join_soon(self, now: float) -> None:
         """Ask to join, again if need be: the link is new, or the worker is to be known otherwise."""
