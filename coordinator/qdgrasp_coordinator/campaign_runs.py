@@ -11,9 +11,10 @@ from qdgrasp_coordinator.budget import tally_within
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.job_folder import JobFolder
 from qdgrasp_coordinator.programme import Extent
-from qdgrasp_coordinator.tally import Tally
+from qdgrasp_coordinator.summary import summary
+from qdgrasp_coordinator.totals import Totals
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, RunFailed
-from qdgrasp_protocol.spec import RunSpec, differences
+from qdgrasp_protocol.spec import GOALS, RunSpec, differences
 
 SCENE = ("gripper", "object", "mass", "friction", "protocol", "surface_seed")
 """The keys of a spec that its scene depends on."""
@@ -69,8 +70,8 @@ class CampaignRuns:
 
     def _is_done(self, name: str, spec: RunSpec) -> bool:
         """Whether a run is finished; what it found is then added to the extent."""
-        found = recorded(self._folder.run_path(name), spec) if self._folder else None
-        if found is None or not found.finished:
+        found = finished(self._folder.run_path(name), spec) if self._folder else None
+        if found is None:
             return False
         self.extent = self.extent.with_done(found)
         return True
@@ -92,15 +93,15 @@ class CampaignRuns:
         return self._scene[1]
 
 
-def recorded(path: Path, spec: RunSpec) -> Tally | None:
-    """What a run's folder holds of the run that `spec` asks for.
+def finished(path: Path, spec: RunSpec) -> Totals | None:
+    """What the run that `spec` asks for has found, where its folder holds all of it.
 
-    None: nothing was begun, or its journal cannot be read; why not is told when the recorder opens it.
+    None: it is not finished, or its journal cannot be read; why not is told when the recorder opens it.
 
     Raises
     ------
     FolderError, ImpossibleValue
-        It holds a run of another spec, or more evaluations than the budget.
+        It holds a run of another spec, more evaluations than the budget, or successes alone of fewer.
     """
     if not RunFolder.is_run(path):
         return None
@@ -109,9 +110,16 @@ def recorded(path: Path, spec: RunSpec) -> Tally | None:
     if differ:
         raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
     try:
-        return tally_within(folder, spec)
+        with folder.journal() as journal:
+            is_reduced = bool(journal.sources)
+        found = None if is_reduced else tally_within(folder, spec)
     except FolderError:
         return None
+    if found is not None:
+        return Totals.of(found) if found.finished else None
+    if any(getattr(folder.spec, key) != getattr(spec, key) for key in GOALS):
+        raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
+    return Totals.told(summary(folder))
 
 
 def _share_scene(one: RunSpec, other: RunSpec) -> bool:

@@ -4,7 +4,7 @@ import errno
 import fcntl
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -38,8 +38,18 @@ def read(file: Path) -> bytes:
         raise FolderError(f"{file} cannot be read: {reason(error)}.") from None
 
 
-def create(path: Path, files: Mapping[str, bytes], folders: Iterable[str] = ()) -> None:
+def create(
+    path: Path,
+    files: Mapping[str, bytes],
+    folders: Iterable[str] = (),
+    fill: Callable[[Path], None] = lambda _folder: None,
+) -> None:
     """Make a folder with files and empty folders in it; it appears whole or not at all.
+
+    Parameters
+    ----------
+    fill
+        Writes more files into the folder while it is being made.
 
     Raises
     ------
@@ -57,6 +67,7 @@ def create(path: Path, files: Mapping[str, bytes], folders: Iterable[str] = ()) 
                 write(part / name, payload)
             for name in folders:
                 (part / name).mkdir()
+            fill(part)
             part.rename(path)  # replaces an empty folder, and nothing else
             sync(whole.parent)
     finally:

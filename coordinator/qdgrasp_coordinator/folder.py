@@ -47,7 +47,7 @@ class RunFolder:
             The folder holds another run or other files, or cannot be made.
         """
         cls.check_free(path)
-        disk.create(path, Job.begun(path, job).file | _files(spec, bundle), folders=[LOGS])
+        disk.create(path, Job.begun(path, job).file | files(spec, bundle), folders=[LOGS])
         return cls(path)
 
     @classmethod
@@ -55,7 +55,7 @@ class RunFolder:
         """Begin the folder of one of a campaign's runs; raises as `create`."""
         path = job.run_path(run)
         disk.check_free(path)
-        disk.create(path, _files(spec, bundle))
+        disk.create(path, files(spec, bundle))
         return cls(path)
 
     @classmethod
@@ -162,7 +162,7 @@ class RunFolder:
             disk.write(self.path / name, payload)
 
 
-def _files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
+def files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
     """The files of a new run."""
     scene = {} if bundle is None else {SCENE: bundle.payload}
     return {SPEC: to_toml(spec).encode()} | scene

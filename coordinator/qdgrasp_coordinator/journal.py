@@ -13,10 +13,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Self
 
+import msgspec
 import numpy as np
 
 from qdgrasp_coordinator.disk import damaged
-from qdgrasp_coordinator.journal_format import APPLICATION, FILE, FORMAT, Identity, lay_out, readable
+from qdgrasp_coordinator.journal_format import APPLICATION, FILE, FORMAT, REDUCED, Identity, lay_out, readable
+from qdgrasp_coordinator.sources import Source
 from qdgrasp_coordinator.stretch import Stretch, joined
 from qdgrasp_coordinator.tally import successes
 from qdgrasp_protocol.errors import FolderError
@@ -47,6 +49,8 @@ class Journal:
         """The version of this package that began it."""
         self.created = float(meta["created"])
         """When it was begun [s since 1970]."""
+        self.sources = self._sources()
+        """The runs that it was reduced from; none where it holds every row of its own run."""
 
     @classmethod
     def open(cls, folder: Path) -> "Journal":
@@ -107,6 +111,7 @@ class Journal:
 
     def stretch(self, first: int, limit: int) -> Stretch:
         """At most `limit` rows from number `first` on, with what is told beside them."""
+        self.check_whole()
         stop = min(first + limit, self.count)
         if first >= stop:
             return Stretch(first, self.shape.empty(0))
@@ -119,16 +124,49 @@ class Journal:
 
     def stretches(self) -> Iterator[Stretch]:
         """The same with what they cost, and with what is told beside them."""
+        self.check_whole()
         return self._stretches(0, self.count)
+
+    def kept(self, first: int = 0, stop: int | None = None) -> Iterator[Rows]:
+        """The rows that are here from number `first` up to `stop`, some thousands at a time.
+
+        All rows; where the journal is reduced, the successes with their trials, source by source.
+        """
+        end = self.count if stop is None else stop
+        for stretch in self._stretches(first, end):
+            yield stretch.part(first, end).rows
 
     def successes(self) -> Rows:
         """Every nominal success ever found, in order, all columns; fitness 0 included (the archive A_o)."""
-        found = [successes(rows) for rows in self.blocks()]
+        found = [successes(rows) for rows in self.kept()]
         return np.concatenate([self.shape.empty(0), *found])
 
     def errors(self) -> dict[int, str]:
         """Why rows with `Outcome.ERROR` failed, by row number."""
         return {int(row): str(reason) for row, reason in self._all("SELECT row, reason FROM errors")}
+
+    @property
+    def summary(self) -> str:
+        """What all rows of its sources came to, as JSON; empty where it holds every row itself."""
+        return self._meta().get("summary", "")
+
+    def check_whole(self) -> None:
+        """Check that every row is here.
+
+        Raises
+        ------
+        FolderError
+            The journal keeps successes alone.
+        """
+        if not self.sources:
+            return
+        whose = f"{len(self.sources)} runs"
+        if len(self.sources) == 1:
+            whose = f"run '{self.sources[0].run}', whose digest was {self.sources[0].digest}"
+        raise FolderError(
+            f"{self._file.parent} keeps the successes alone of {whose}; "
+            "a digest, curves, and going on with it need every row."
+        )
 
     def close(self) -> None:
         """Close the file."""
@@ -163,16 +201,22 @@ class Journal:
     def _meta(self) -> dict[str, str]:
         return {str(name): str(value) for name, value in self._all("SELECT name, value FROM meta")}
 
+    def _sources(self) -> tuple[Source, ...]:
+        if self._all("PRAGMA user_version")[0][0] != REDUCED:
+            return ()
+        found = self._all("SELECT source FROM sources ORDER BY number")
+        return tuple(msgspec.json.decode(text, type=Source) for (text,) in found)
+
     def _check_format(self) -> None:
         (application,), (number,) = (
             self._all(f"PRAGMA {name}")[0] for name in ("application_id", "user_version")
         )
         if application != APPLICATION:
             raise FolderError(f"{self._file} is not a journal of qdgrasp.")
-        if number != FORMAT:
+        if number not in (FORMAT, REDUCED):
             raise FolderError(
-                f"{self._file} is of format {number}, this version of qdgrasp reads format {FORMAT}; "
-                "use the version that wrote it."
+                f"{self._file} is of format {number}, this version of qdgrasp reads format {FORMAT} and "
+                f"{REDUCED}; use the version that wrote it."
             )
 
     def _all(self, query: str, *values: object) -> list[tuple[Any, ...]]:

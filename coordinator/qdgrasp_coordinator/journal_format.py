@@ -16,6 +16,8 @@ from qdgrasp_protocol.rows import Shape
 FILE = "run.sqlite"
 APPLICATION = 0x71646772  # "qdgr"
 FORMAT = 1
+REDUCED = 2
+"""The format of a journal that keeps successes alone (`reduction`)."""
 UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM}
 SCHEMA = """
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;

@@ -41,7 +41,7 @@ class JournalWriter(Journal):
         """
         part = folder / f"{FILE}.part"
         part.unlink(missing_ok=True)
-        with _fitting(folder):
+        with fitting(folder):
             database = sqlite3.connect(part, isolation_level=None)
             try:
                 lay_out(database, identity)
@@ -52,10 +52,11 @@ class JournalWriter(Journal):
 
     @classmethod
     def open(cls, folder: Path) -> "JournalWriter":
-        """Open the journal in a run's folder to add to it; raises as `Journal.open`."""
+        """Open the journal in a run's folder to add to it; raises as `Journal.open` does."""
         file = folder / FILE
-        Journal.open(folder).close()
-        with readable(file), _fitting(folder):
+        with Journal.open(folder) as known:
+            known.check_whole()
+        with readable(file), fitting(folder):
             database = sqlite3.connect(file, isolation_level=None)
             try:
                 database.execute("PRAGMA journal_mode = WAL")
@@ -90,13 +91,8 @@ class JournalWriter(Journal):
         """
         if stretch.first != self.count:
             raise ValueError(f"row {self.count} is next, got {stretch.first}")
-        blob = stretch.rows.tobytes()
-        block = (stretch.first, len(stretch), epoch, stretch.cpu_seconds, zlib.crc32(blob), blob)
-        errors = [(stretch.first + failure.row, failure.reason) for failure in stretch.failures]
         with self._transaction():
-            self._database.execute("INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)", block)
-            self._database.executemany(SUCCESS, _successes(stretch))
-            self._database.executemany("INSERT INTO errors VALUES (?, ?)", errors)
+            insert(self._database, stretch, epoch)
             self._database.execute("UPDATE turns SET last = max(last, ?) WHERE epoch = ?", (now, epoch))
 
     def set_platform(self, platform: dict[str, str]) -> None:
@@ -113,7 +109,7 @@ class JournalWriter(Journal):
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        with _fitting(self._file.parent):
+        with fitting(self._file.parent):
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield
@@ -122,6 +118,16 @@ class JournalWriter(Journal):
                 if self._database.in_transaction:
                     self._database.execute("ROLLBACK")
                 raise
+
+
+def insert(database: sqlite3.Connection, stretch: Stretch, epoch: int) -> None:
+    """Add rows to the tables of a journal, within a transaction."""
+    blob = stretch.rows.tobytes()
+    block = (stretch.first, len(stretch), epoch, stretch.cpu_seconds, zlib.crc32(blob), blob)
+    errors = [(stretch.first + failure.row, failure.reason) for failure in stretch.failures]
+    database.execute("INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)", block)
+    database.executemany(SUCCESS, _successes(stretch))
+    database.executemany("INSERT INTO errors VALUES (?, ?)", errors)
 
 
 def _successes(stretch: Stretch) -> list[tuple[float, ...]]:
@@ -137,7 +143,7 @@ def _successes(stretch: Stretch) -> list[tuple[float, ...]]:
 
 
 @contextmanager
-def _fitting(folder: Path) -> Iterator[None]:
+def fitting(folder: Path) -> Iterator[None]:
     """Say in a sentence why nothing can be written, and tell a full disk from every other failure."""
     try:
         yield

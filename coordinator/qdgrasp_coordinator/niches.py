@@ -118,6 +118,12 @@ class NicheArchive:
         if self._n_waiting > max(4096, len(self._kept) // 4):  # each is sorted in a few times, not every time
             self._settle()
 
+    def joined(self, other: "NicheArchive") -> "NicheArchive":
+        """The best of both, which may read synergies from other genes; of equals this one's."""
+        both = NicheArchive(self._synergies)
+        both._kept = best(np.concatenate([self.elites, other.elites]))
+        return both
+
     @property
     def elites(self) -> NDArray[np.void]:
         """The best of each niche (n,), `ELITE`, ascending by niche."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.tally import Tally
 from qdgrasp_coordinator.totals import NOTHING, Totals
 
 
@@ -21,9 +20,9 @@ class Extent:
     done: Totals = NOTHING
     """What these found."""
 
-    def with_done(self, found: Tally) -> "Extent":
+    def with_done(self, found: Totals) -> "Extent":
         """The same, with one more run that was finished before."""
-        return replace(self, runs_done=self.runs_done + 1, done=self.done + Totals.of(found))
+        return replace(self, runs_done=self.runs_done + 1, done=self.done + found)
 
 
 class Programme(Protocol):

@@ -19,6 +19,9 @@ from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.cells import cells, keys
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.scores import eta, scored, sums
+from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.sources import Source as JournalSource
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.trials import trials
@@ -56,9 +59,20 @@ def grasps(folder: RunFolder) -> Rows:
     A grasp survived a nominal shake; under a protocol with trials all of its own are recorded.
     """
     with folder.journal() as journal:
-        found = [journal.shape.empty(0), *scored(journal.blocks(), trials(folder.spec.protocol))]
+        _check_one_prior(journal.sources, folder.path)
+        found = [journal.shape.empty(0), *scored(journal.kept(), trials(folder.spec.protocol))]
     rows = np.concatenate(found)
     return rows[rows["outcome"] >= Outcome.SHAKEN]
+
+
+def _check_one_prior(sources: tuple[JournalSource, ...], where: Path) -> None:
+    """Check that the genomes of all that was merged mean the same."""
+    priors = sorted({method(source.asked.method).prior for source in sources})
+    if len(priors) > 1:
+        raise InputError(
+            f"{where} is merged from runs with different priors, {' and '.join(priors)}, whose genomes mean "
+            "different things; merge runs of one prior for this."
+        )
 
 
 def best(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:

@@ -67,6 +67,10 @@ class Summary(Struct, frozen=True, kw_only=True):
     scene: str
     """sha256 of the scene bundle."""
     platform: dict[str, str]
+    reduced: str = ""
+    """What was left out of the journal, in words; empty where every row is there."""
+    sources: list[str] = []
+    """The runs that a merged journal is of."""
 
     @property
     def words(self) -> str:
@@ -81,10 +85,11 @@ class Summary(Struct, frozen=True, kw_only=True):
     def table(self) -> str:
         """All figures, one to a line."""
         values = msgspec.structs.asdict(self)
-        platform = values.pop("platform")
+        platform, sources = values.pop("platform"), values.pop("sources")
         values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
         lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
+        lines += [f"{'source':<16} {source}" for source in sources]
         lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
         return "\n".join(lines)
 
@@ -93,6 +98,8 @@ def summary(folder: RunFolder) -> Summary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
+        if journal.sources:
+            return msgspec.json.decode(journal.summary, type=Summary)
         metrics, archive = Metrics(trials(spec.protocol)), niche_archive(folder)
         found = tally(spec, metrics.counting(archive.inserting(journal.blocks())))
         return Summary(

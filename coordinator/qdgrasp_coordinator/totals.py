@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields
 
+from qdgrasp_coordinator.summary import Summary
 from qdgrasp_coordinator.tally import Tally
 
 
@@ -23,6 +24,11 @@ class Totals:
     @classmethod
     def of(cls, found: Tally) -> "Totals":
         """Those of one run."""
+        return cls(**{field.name: getattr(found, field.name) for field in fields(cls)})
+
+    @classmethod
+    def told(cls, found: Summary) -> "Totals":
+        """Those of one run whose rows are not all there any more."""
         return cls(**{field.name: getattr(found, field.name) for field in fields(cls)})
 
     def __add__(self, other: "Totals") -> "Totals":

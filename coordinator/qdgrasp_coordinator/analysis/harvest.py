@@ -84,7 +84,7 @@ def harvested(folder: RunFolder, name: str | None = None) -> ReferenceSet:
     origin = Origin(scene.gripper.name, Path(spec.object).name, identity(scene.object), (scene.protocol,))
     empty = ReferenceSet(key, np.zeros((0, 3), np.int64), np.zeros(0, np.uint8), origin)
     with folder.journal() as journal:
-        found = [best(*_reached(rows)) for rows in journal.blocks()]
+        found = [best(*_reached(rows)) for rows in journal.kept()]
     return _grown(empty, found)
 
 

@@ -16,7 +16,9 @@ from qdgrasp_coordinator.cli import (
     evaluate,
     info,
     jobs,
+    merge,
     methods,
+    prune,
     reference,
     rerank,
     resume,
@@ -38,6 +40,8 @@ for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evalu
 app.command()(campaign.campaign)
 app.command()(analyse.analyse)
 app.command()(rerank.rerank)
+app.command()(merge.merge)
+app.command()(prune.prune)
 app.command()(methods.methods)
 app.command()(doctor.doctor)
 app.command()(bench.bench)

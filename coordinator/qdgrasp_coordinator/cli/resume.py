@@ -41,6 +41,8 @@ def resume(
     folder = RunFolder.open(directory)
     check_own_job(folder)
     folder.job.check_not_in_use()
+    with folder.journal() as journal:
+        journal.check_whole()
     asked = {"evaluations": evaluations, "successes": successes, "no_new_cell": no_new_cell}
     if goals := {key: value for key, value in asked.items() if value is not None}:
         extend(folder, **goals)

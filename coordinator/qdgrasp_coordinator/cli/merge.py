@@ -1,0 +1,34 @@
+"""`qdgrasp merge`: the successes of several runs in one folder."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.folder import RunFolder
+
+
+def merge(
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs, pruned or merged ones too.")
+    ],
+    out: Annotated[Path, typer.Option(help="The new folder.")],
+    as_json: options.Json = False,
+) -> None:
+    """Join the successes of runs of one scene, whatever their methods and seeds.
+
+    The new folder is read like a run's: info, coverage, reference, rerank. It keeps what each run was, and
+    which rows are its own; a run that is named twice counts once. The runs stay as they are.
+
+    Example: qdgrasp merge runs/mug-s0 runs/mug-s1 --out runs/mug-all
+    """
+    from qdgrasp_coordinator.merging import merge as merge_runs  # the scene's libraries take their time
+
+    found = merge_runs([RunFolder.open(directory) for directory in directories], out)
+    if as_json:
+        typer.echo(json.dumps(msgspec.to_builtins(found)))
+        return
+    typer.echo(f"{found.words} {len(found.sources)} runs in {out}.")

@@ -1,0 +1,31 @@
+"""`qdgrasp prune`: finished runs without their failures."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.job_folder import JobFolder
+
+
+def prune(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a campaign's.")],
+) -> None:
+    """Drop the failures of finished runs for good; successes, their trials and all figures stay.
+
+    A pruned run cannot be gone on with, has no digest and no curves. Of a campaign's runs those that are not
+    finished stay as they are.
+
+    Example: qdgrasp prune runs/demo
+    """
+    from qdgrasp_coordinator.pruning import prune as prune_run  # the archives' libraries take their time
+    from qdgrasp_coordinator.pruning import prune_all
+
+    is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
+    if not is_campaign:
+        freed = prune_run(RunFolder.open(directory))
+        typer.echo(f"{freed / 1e6:.1f} MB are free; {directory} keeps successes alone.")
+        return
+    done = prune_all(JobFolder(directory))
+    typer.echo(f"{done.freed / 1e6:.1f} MB are free; {done.pruned} of {done.runs} runs keep successes alone.")

@@ -1,0 +1,217 @@
+"""Journals that keep successes alone: pruned runs and merged ones."""
+
+import itertools
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.analysis import runs as made
+from tests.coordinator.analysis.conftest import SceneMaker
+from tests.coordinator.analysis.runs import random_rows, record
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.analysis.harvest import harvested
+from qdgrasp_coordinator.analysis.history import history
+from qdgrasp_coordinator.analysis.target import Target
+from qdgrasp_coordinator.digest import digest
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.job_folder import JobFolder
+from qdgrasp_coordinator.journal_writer import JournalWriter
+from qdgrasp_coordinator.merging import merge
+from qdgrasp_coordinator.pruning import prune, prune_all
+from qdgrasp_coordinator.ranking import grasps
+from qdgrasp_coordinator.reduction import kept
+from qdgrasp_coordinator.summary import Summary, summary
+from qdgrasp_coordinator.tally import successes
+from qdgrasp_protocol.errors import DiskFull, FolderError, InputError
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows, Shape
+
+N = 300
+"""Evaluations of each run; all of them are finished."""
+
+
+@pytest.fixture
+def scene(make_scene: SceneMaker) -> Scene:
+    return make_scene()
+
+
+@pytest.fixture
+def runs(tmp_path: Path, scene: Scene) -> list[RunFolder]:
+    """Three finished runs of one scene, with different methods and seeds."""
+    settings = ({"seed": 0}, {"seed": 1}, {"seed": 0, "method": "contact_rand"})
+    return [
+        record(tmp_path / f"run-{n}", scene, random_rows(N, seed=n), evaluations=N, overlaps="count", **one)
+        for n, one in enumerate(settings)
+    ]
+
+
+def rows_of(folder: RunFolder) -> Rows:
+    with folder.journal() as journal:
+        return np.concatenate([journal.shape.empty(0), *journal.kept()])
+
+
+def digest_of(folder: RunFolder) -> str:
+    with folder.journal() as journal:
+        return digest(journal)
+
+
+def told(found: Summary) -> dict:
+    """Figures that pruning leaves as they were."""
+    values = msgspec.structs.asdict(found)
+    return {name: value for name, value in values.items() if name != "reduced"}
+
+
+def test_a_pruned_run_has_its_successes_and_all_its_figures_and_takes_less_room(runs) -> None:
+    run, *_ = runs
+    before, whole = summary(run), rows_of(run)
+    size = (run.path / "run.sqlite").stat().st_size
+    assert prune(run) == size - (run.path / "run.sqlite").stat().st_size > 0
+    assert rows_of(run).tobytes() == successes(whole).tobytes()
+    with run.journal() as journal:
+        assert journal.successes().tobytes() == successes(whole).tobytes()
+    after = summary(run)
+    assert told(after) == told(before)
+    assert after.reduced == "failures: only successes are kept"
+    assert sorted(path.name for path in run.path.glob("run.sqlite*")) == ["run.sqlite"]
+
+
+def test_what_needs_every_row_is_refused_with_the_digest_that_the_run_had(runs) -> None:
+    run, *_ = runs
+    before = digest_of(run)
+    prune(run)
+    acts = (
+        lambda: digest_of(run),
+        lambda: history(run, Target(why="none")),
+        lambda: prune(run),
+        lambda: JournalWriter.open(run.path),
+    )
+    for act in acts:
+        with pytest.raises(FolderError, match=f"keeps the successes alone of .*whose digest was {before};"):
+            act()
+
+
+def test_a_run_that_is_not_finished_or_in_use_is_not_pruned(tmp_path, scene) -> None:
+    run = record(tmp_path / "run", scene, random_rows(20), evaluations=N, overlaps="count")
+    before = digest_of(run)
+    with pytest.raises(FolderError, match="is not finished"):
+        prune(run)
+    with run.job.lock(), pytest.raises(FolderError, match="in use"):
+        prune(run)
+    assert digest_of(run) == before
+
+
+def test_a_full_disk_leaves_the_run_as_it_was(runs, monkeypatch) -> None:
+    run, *_ = runs
+    before = digest_of(run)
+
+    def full(*_: object, **__: object) -> None:
+        error = sqlite3.OperationalError("database or disk is full")
+        error.sqlite_errorcode = sqlite3.SQLITE_FULL
+        raise error
+
+    monkeypatch.setattr("qdgrasp_coordinator.reduction.insert", full)
+    with pytest.raises(DiskFull):
+        prune(run)
+    assert digest_of(run) == before
+    assert not list(run.path.glob("*.part"))
+
+
+def test_of_a_campaign_the_finished_runs_are_pruned(tmp_path, scene, runs) -> None:
+    home = JobFolder.create(tmp_path / "many", "many").path
+    for number, budget in enumerate((N, 2 * N)):
+        run = record(tmp_path / "made", scene, random_rows(N), evaluations=budget, overlaps="count")
+        run.path.rename(home / "runs" / f"run-{number}")
+    done = prune_all(JobFolder(home))
+    assert (done.pruned, done.runs) == (1, 2)
+    assert done.freed > 0
+    assert prune_all(JobFolder(home)).pruned == 1
+    assert summary(RunFolder(home / "runs" / "run-0")).reduced
+    assert not summary(RunFolder(home / "runs" / "run-1")).reduced
+
+
+def test_merged_runs_hold_the_successes_of_all_and_say_whose_they_are(tmp_path, runs) -> None:
+    found = merge(runs, tmp_path / "all")
+    folder = RunFolder.open(tmp_path / "all")
+    parts = [successes(rows_of(run)) for run in runs]
+    assert rows_of(folder).tobytes() == b"".join(part.tobytes() for part in parts)
+    with folder.journal() as journal:
+        assert [source.run for source in journal.sources] == ["run-0", "run-1", "run-2"]
+        assert [source.kept for source in journal.sources] == list(map(len, parts))
+        assert [source.digest for source in journal.sources] == [digest_of(run) for run in runs]
+        assert [source.asked for source in journal.sources] == [run.spec for run in runs]
+    assert msgspec.structs.replace(summary(folder)) == found
+    assert found.method == "aimed, contact_rand"
+    assert found.evaluations == 3 * N
+    cells = {tuple(cell) for part in parts for cell in np.rint(100 * part["descriptor"].astype(float))}
+    assert found.cells == len(cells)
+    assert found.robust == sum(np.count_nonzero(part["outcome"] == Outcome.HELD) for part in parts)
+    assert len(harvested(folder).cells) == len(cells)
+
+
+def test_the_order_in_which_runs_are_named_does_not_matter_nor_whether_they_were_pruned_or_merged(
+    tmp_path, runs
+) -> None:
+    expected = merge(runs, tmp_path / "all")
+    content = rows_of(RunFolder(tmp_path / "all")).tobytes()
+    for number, order in enumerate(itertools.permutations(runs)):
+        assert merge(order, tmp_path / f"all-{number}") == expected
+        assert rows_of(RunFolder(tmp_path / f"all-{number}")).tobytes() == content
+    merge(runs[1:], tmp_path / "two")
+    prune(runs[0])
+    again = merge([RunFolder(tmp_path / "two"), runs[0], runs[1], runs[0]], tmp_path / "again")
+    assert again == expected
+    assert rows_of(RunFolder(tmp_path / "again")).tobytes() == content
+
+
+def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, scene, runs, monkeypatch) -> None:
+    monkeypatch.setattr(made, "SHAPE", Shape(genes=5, joints=2, descriptors=3))
+    wide = random_rows(N)
+    wide["genome"] = 0.5
+    other = record(tmp_path / "wide", scene, kept(wide), evaluations=N, overlaps="count", seed=9)
+    merge([runs[2], other], tmp_path / "all")
+    rows = rows_of(RunFolder(tmp_path / "all"))
+    narrow = successes(rows_of(runs[2]))
+    assert rows["genome"].shape[1] == 5
+    assert rows["genome"][-len(narrow) :, 2:].max() == 0
+    assert np.array_equal(rows["base_to_object"][-len(narrow) :], narrow["base_to_object"])
+
+
+def test_runs_of_different_scenes_are_refused_and_what_differs_is_named(tmp_path, make_scene, runs) -> None:
+    heavy = record(tmp_path / "heavy", make_scene("other"), random_rows(N), evaluations=N, mass=2.5)
+    with pytest.raises(InputError, match=r"different scenes.*differ in mass \(0\.1 and 2\.5\)"):
+        merge([runs[0], heavy], tmp_path / "all")
+    same = record(tmp_path / "same", make_scene("other"), random_rows(N), evaluations=N)
+    with pytest.raises(InputError, match="the scene's files or the version of qdgrasp"):
+        merge([runs[0], same], tmp_path / "all")
+    assert not (tmp_path / "all").exists()
+
+
+def test_a_merge_that_fails_leaves_nothing(tmp_path, runs) -> None:
+    with closing(sqlite3.connect(runs[2].path / "run.sqlite")) as journal, journal:
+        journal.execute("UPDATE blocks SET crc = crc + 1")
+    with pytest.raises(FolderError, match="are not what was recorded"):
+        merge(runs, tmp_path / "all")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    with pytest.raises(FolderError, match="holds a run already"):
+        merge(runs[:2], runs[0].path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == before == ["run-0", "run-1", "run-2"]
+
+
+def test_unfinished_runs_are_merged_unless_successes_lack_trials(tmp_path, scene, runs) -> None:
+    half = record(tmp_path / "half", scene, random_rows(40, seed=7), evaluations=N, seed=7)
+    assert not merge([runs[0], half], tmp_path / "all").complete
+    robust = record(tmp_path / "robust", scene, random_rows(40), evaluations=N, protocol="robust")
+    with pytest.raises(InputError, match="lack their trials"):
+        merge([robust], tmp_path / "none")
+
+
+def test_grasps_of_runs_with_different_priors_are_not_ranked_together(tmp_path, runs) -> None:
+    merge(runs[:2], tmp_path / "aimed")
+    assert len(grasps(RunFolder(tmp_path / "aimed"))) == sum(len(grasps(run)) for run in runs[:2])
+    merge(runs, tmp_path / "all")
+    with pytest.raises(InputError, match="different priors, aimed and contact"):
+        grasps(RunFolder(tmp_path / "all"))
