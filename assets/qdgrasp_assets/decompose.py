@@ -115,7 +115,7 @@ def main() -> None:
     """Decompose the mesh in the first file into the last; end with whoever started this process."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     threading.Thread(target=_end_with_starter, daemon=True).start()
-    given = np.load(sys.argv[1])
+    given = np.load(sys.argv[1], allow_pickle=False)
     parts = [simple(hull(points)) for points in _coacd(given["vertices"], given["faces"], float(sys.argv[2]))]
     Path(sys.argv[3]).write_bytes(parts_to_obj(parts))
 

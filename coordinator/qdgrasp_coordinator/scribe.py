@@ -18,6 +18,7 @@ from qdgrasp_coordinator.reports import Reports
 from qdgrasp_coordinator.room import Room
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Query, Sample
+from qdgrasp_protocol.drops import Drops
 from qdgrasp_protocol.errors import DiskFull, InputError, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Platform, Recordable, Recorded, short
@@ -48,6 +49,7 @@ class Scribe:
         self._keys = Keys(job)
         self._path = path
         self._room = Room(path, disk_wait)
+        self._drops = Drops()
         self._reports = Reports()
         self._untaken: Counter[Verdict] = Counter()
         for run in books.runs:
@@ -63,7 +65,7 @@ class Scribe:
             elif sample.encoding == codec.encoding(Platform):
                 self._books.set_platform(codec.decode(sample.payload, Platform))
         except (MessageError, Refused) as error:
-            log.warning("dropped a message", reason=str(error))
+            self._drops.note(sample.key, error)
 
     def answer(self, query: Query, now: float) -> bytes:
         """Open runs, or show recorded rows.

@@ -112,7 +112,8 @@ class CoordinatorService:
                 look(time.monotonic())
             self._board.publish(time.monotonic())
         reason = "asked to stop" if self._stop.is_set else self._cancelled or "done"
-        log.info("ended", reason=reason, **self._turn.dispatch.counters)
+        dropped = self._turn.drops.count
+        log.info("ended", reason=reason, dropped=dropped, **self._turn.dispatch.counters)
         if self._stop.is_set:
             return
         if self._cancelled and not self._lanes.are_done:

@@ -20,8 +20,10 @@ from qdgrasp_coordinator.platforms import admit
 from qdgrasp_coordinator.roster import Member
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Channel, Sample
+from qdgrasp_protocol.codec import decoded
+from qdgrasp_protocol.drops import Drops
 from qdgrasp_protocol.errors import EndedEarly, MessageError, Refused
-from qdgrasp_protocol.keys import Keys, last_chunk
+from qdgrasp_protocol.keys import Keys, last_chunk, number
 from qdgrasp_protocol.messages import VERSION, Control, Join, Joined, Message, Opened, Recorded, Result
 
 log = structlog.get_logger()
@@ -63,11 +65,13 @@ class Turn:
         self.dispatch = Dispatch(epoch, batch_size)
         self._job = job
         self._keys = Keys(job)
+        self._results = self._keys.result("")
         self._lanes = lanes
         self._put = put
         self._platform: dict[str, str] = {}
         self._alive: set[str] = set()
         self._joins: dict[str, Join] = {}
+        self.drops = Drops()
         self.is_paused = False
         """Nothing is leased; what is out comes back and counts."""
         self.is_ending = False
@@ -105,15 +109,16 @@ class Turn:
                 self._take_sample(event, now)
 
     def _take_sample(self, sample: Sample, now: float) -> None:
+        """Hear a message; what it may be is decided by its key, which is what access lists go by."""
         try:
-            if sample.encoding == codec.encoding(Result):
+            if sample.key == self._keys.recorded:
+                self._take_recorded(decoded(sample, Recorded), now)
+            elif sample.key.startswith(self._results):
                 self._take_result(sample, now)
-            elif sample.encoding == codec.encoding(Recorded):
-                self._take_recorded(codec.decode(sample.payload, Recorded), now)
             else:
                 self.dispatch.seen(last_chunk(sample.key), now)
         except MessageError as error:
-            log.warning("dropped a message", key=sample.key, reason=str(error))
+            self.drops.note(sample.key, error)
 
     def _take_token(self, key: str, alive: bool, now: float) -> None:
         who = last_chunk(key)
@@ -127,7 +132,7 @@ class Turn:
         elif key == self._keys.recorder_token(who):
             for lane in self._lanes if alive else ():
                 lane.record.recorder_up(now)
-        elif alive and who.isdigit() and int(who) > self.epoch:
+        elif alive and (number(who) or 0) > self.epoch:
             raise EndedEarly(f"Another coordinator of job '{self._job}' took over (epoch {who}).")
 
     def _admit(self, join: Join, answer: "Future[bytes]", now: float) -> None:
@@ -155,7 +160,7 @@ class Turn:
 
     def _take_result(self, sample: Sample, now: float) -> None:
         """Settle a result once, and take what became final."""
-        result, wid = codec.decode(sample.payload, Result), last_chunk(sample.key)
+        result, wid = decoded(sample, Result), last_chunk(sample.key)
         lane = self._lanes.get(result.run)
         if lane is None:
             self.dispatch.seen(wid, now)

@@ -5,7 +5,7 @@ import hashlib
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Query
 from qdgrasp_protocol.errors import MessageError, Refused
-from qdgrasp_protocol.keys import Keys, last_chunk
+from qdgrasp_protocol.keys import Keys, last_chunk, number
 from qdgrasp_protocol.messages import Chunk
 
 SIZE = 512 << 10
@@ -23,10 +23,10 @@ def answer(query: Query, payload: bytes, digest: str) -> bytes:
     if last_chunk(query.key) != digest:
         raise Refused("no such scene here")
     total = max(1, -(-len(payload) // SIZE))
-    number = query.parameters.removeprefix("i=")
-    if not (number.isascii() and number.isdigit()) or int(number) >= total:
-        raise Refused(f"chunk '{query.parameters}' is not one of {total}")
-    start = int(number) * SIZE
+    place = number(query.parameters.removeprefix("i="))
+    if place is None or place >= total:
+        raise Refused(f"chunk '{query.parameters[:20]}' is not one of {total}")
+    start = place * SIZE
     return codec.encode(Chunk(total=total, data=payload[start : start + SIZE]))
 
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import msgpack
 import msgspec
 
+from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Message
 
@@ -63,6 +64,19 @@ def decode(payload: bytes, kind: type[M]) -> M:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
         raise MessageError(f"not a {kind.__name__.lower()}: {_harmless(str(error))}") from None
+
+
+def decoded(sample: Sample, kind: type[M]) -> M:
+    """The message of `kind` in a sample.
+
+    Raises
+    ------
+    MessageError
+        It is said to be of another encoding, which is not even looked at, or is no such message.
+    """
+    if sample.encoding != encoding(kind):
+        raise MessageError(f"expected {encoding(kind)}, got {_harmless(sample.encoding)}")
+    return decode(sample.payload, kind)
 
 
 class _Budget:

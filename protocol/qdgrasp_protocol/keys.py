@@ -125,6 +125,12 @@ def last_chunk(key: str) -> str:
     return key.rsplit("/", 1)[-1]
 
 
+def number(text: str) -> int | None:
+    """The number that a chunk of a key or a parameter stands for; None where it is none, or has 19 digits."""
+    is_one = text.isascii() and text.isdigit() and len(text) <= 18
+    return int(text) if is_one else None
+
+
 def matches(pattern: str, key: str) -> bool:
     """Whether a key matches a pattern: `*` is one chunk, `**` any number, neither matches one with `@`."""
     return _matches(pattern.split("/"), key.split("/"))

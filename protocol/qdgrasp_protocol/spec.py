@@ -4,7 +4,6 @@ Flags and TOML say the same things; a run folder holds the full spec, so that `q
 repeats it. Workers and batch size are not part of a spec: no result depends on them.
 """
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -12,6 +11,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
+from qdgrasp_protocol import toml
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 
 ProtocolName = Literal["paper", "released", "robust"]
@@ -103,11 +103,12 @@ def read_run_spec(path: Path) -> dict[str, Any]:
         There is no such file, or it is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"No spec can be read at '{path}': {error.strerror or error}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise InputError(f"{path} is not TOML: {error}.") from None
+    return toml.loads(text, str(path))
 
 
 def from_toml(text: str, where: str = "spec") -> RunSpec:
@@ -118,10 +119,7 @@ def from_toml(text: str, where: str = "spec") -> RunSpec:
     InputError
         The text is not TOML, or not a spec; see `run_spec`.
     """
-    try:
-        return run_spec(tomllib.loads(text), where)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where} is not TOML: {error}.") from None
+    return run_spec(toml.loads(text, where), where)
 
 
 def differences(one: RunSpec, other: RunSpec) -> list[str]:

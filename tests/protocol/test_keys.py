@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.keys import NAME, AnyJob, Keys, job_name, job_of, last_chunk, matches, meet
+from qdgrasp_protocol.keys import NAME, AnyJob, Keys, job_name, job_of, last_chunk, matches, meet, number
 
 WID = "0123456789abcdef" * 2
 
@@ -98,3 +98,20 @@ def test_patterns_that_match_one_key_meet(one: list[str], other: list[str], chun
 )
 def test_patterns_meet_where_a_key_may_match_both(one: str, other: str, do: bool) -> None:
     assert meet(one, other) is do
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0", 0),
+        ("17", 17),
+        ("9" * 18, 10**18 - 1),
+        ("", None),
+        ("-1", None),
+        ("x", None),
+        ("²", None),
+        ("9" * 5000, None),
+    ],
+)
+def test_a_number_in_a_key_is_plain_digits_and_not_without_end(text: str, value: int | None) -> None:
+    assert number(text) == value

@@ -10,7 +10,7 @@ import structlog
 
 from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, Refused
-from qdgrasp_protocol.keys import Keys, job_of, last_chunk
+from qdgrasp_protocol.keys import Keys, job_of, last_chunk, number
 from qdgrasp_protocol.messages import VERSION, Join, Joined
 from qdgrasp_worker.serving.appointment import Appointment
 from qdgrasp_worker.serving.appointments import Appointments
@@ -58,9 +58,10 @@ class Memberships:
     def meet(self, key: str, is_alive: bool, now: float) -> None:
         """Note that a job's coordinator is there, or is gone, by its token."""
         job, token = job_of(key), last_chunk(key)
-        if job is None or not (token.isascii() and token.isdigit()):
+        epoch = number(token)
+        if job is None or epoch is None:
             return
-        epoch, appointment = int(token), self._jobs.get(job)
+        appointment = self._jobs.get(job)
         if is_alive and appointment is None and epoch > self._left.get(job, -1):
             appointment = self._open(job)
         if not is_alive:

@@ -18,6 +18,7 @@ import structlog
 
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel, Sample
+from qdgrasp_protocol.drops import Drops
 from qdgrasp_protocol.errors import BusError, MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
 from qdgrasp_protocol.lifetime import Stop
@@ -80,6 +81,7 @@ class WorkerService:
         self._scenes = Scenes(errands)
         self._keys = Keys(job) if job else AnyJob()
         self._leave = Leave(grace)
+        self._drops = Drops()
         self._sign_at = 0.0
 
     def run(self) -> None:
@@ -169,7 +171,7 @@ class WorkerService:
             elif sample.encoding == codec.encoding(Control):
                 desk.control(codec.decode(sample.payload, Control))
         except MessageError as error:
-            log.warning("dropped a message that is not of the protocol", key=sample.key, reason=str(error))
+            self._drops.note(sample.key, error)
 
     def _take_answer(self, answered: Answered, now: float) -> None:
         for sample in self._memberships.answered(answered, now):
