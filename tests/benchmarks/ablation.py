@@ -31,17 +31,15 @@ LOOSE = 0.5
 class WithoutGate(Aimed):
     """Whatever is left of a genome's candidates is simulated, likely or not."""
 
-    def _weights(self, aims: Aims) -> Floats:
-        weights = super()._weights(aims)
-        weights[:, -1] = 0.0
-        return weights
+    def _weights(self, wanted: Floats) -> Floats:
+        return super()._weights(np.zeros_like(wanted))
 
 
 class WithoutRanking(Aimed):
     """Candidates are ranked by what is swept, and nothing is learned of them."""
 
-    def _weights(self, aims: Aims) -> Floats:
-        return np.zeros_like(super()._weights(aims))
+    def _weights(self, wanted: Floats) -> Floats:
+        return np.zeros_like(super()._weights(wanted))
 
 
 class WithoutCandidates(Aimed):
@@ -51,8 +49,8 @@ class WithoutCandidates(Aimed):
         super().__init__(spec, space)
         self._candidates = 1
 
-    def _weights(self, aims: Aims) -> Floats:
-        return np.zeros_like(super()._weights(aims))
+    def _weights(self, wanted: Floats) -> Floats:
+        return np.zeros_like(super()._weights(wanted))
 
 
 class WithoutLikelihood(Aimed):

@@ -16,7 +16,7 @@ from qdgrasp_assets.genes import FEATURES, MOST_CANDIDATES
 from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.draws import draws
 from qdgrasp_coordinator.searches.aims import OWN, SYNERGY, TARGET, Aims, directions, joined, scattered
-from qdgrasp_coordinator.searches.frontier import Frontier, Places
+from qdgrasp_coordinator.searches.frontier import ANYWHERE, Frontier, Places
 from qdgrasp_coordinator.searches.gate import Gate
 from qdgrasp_coordinator.searches.hints import Hints
 from qdgrasp_coordinator.searches.ranker import Ranker
@@ -30,7 +30,7 @@ from qdgrasp_protocol.spec import RunSpec
 
 START = 100
 """Genomes that scout before any is aimed."""
-SCOUTS = 0.02
+SCOUTS = 0.04
 """The share that scouts later."""
 LOST = 2000
 """While there is no success the scouts go astray more and more, half of them after so many genomes."""
@@ -54,14 +54,15 @@ class Aimed:
     def __init__(self, spec: RunSpec, space: Space) -> None:
         self._spec = spec
         self._space = space
-        self._frontier = Frontier(space.box, space.distances[1])
+        self._counts_all = spec.overlaps == "count"
+        self._within = space.distances if self._counts_all else ANYWHERE
+        self._frontier = Frontier(space.box, space.distances[1], self._within)
         self._hints = Hints(self._frontier.size, space.approach_axis, space.genes - OWN)
         self._ranker = Ranker()
         self._gate = Gate()
         self._spare = Spare(self._frontier, self._hints)
         self._open: dict[int, Floats] = {}
         """Of generations that are not told yet, what was known of the empty cells that they aim at."""
-        self._counts_all = spec.overlaps == "count"
         self._candidates = 1 if self._counts_all else MOST_CANDIDATES
         self._asked = 0
 
@@ -72,8 +73,10 @@ class Aimed:
         aimed = self._aimed(targets, generation)
         if self._candidates == 1:
             aimed = scattered(aimed, draws(self._spec.seed, "scatter", generation))
-        aims = joined(aimed, self._scouts(generation, self._spec.population - len(aimed)))
-        genomes = aims.genomes(self._space.layout, self._candidates, self._weights(aims))
+        scouts = self._scouts(generation, self._spec.population - len(aimed))
+        wanted = self._gate.wanted(self._frontier.dead_ends(aimed.targets))
+        weights = self._weights(np.concatenate([wanted, np.zeros(len(scouts))]))
+        genomes = joined(aimed, scouts).genomes(self._space.layout, self._candidates, weights)
         self._frontier.aim(self._aimed_at(genomes))
         self._asked += len(genomes)
         return genomes
@@ -121,9 +124,13 @@ class Aimed:
         return Aims(centres, contacts, rolls, np.zeros(len(targets)), postures)
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
-        """For each target a success around it, or in it: see `Hints.preference`."""
+        """For each target a success around it, or in it, as far from it as is wanted where there is one."""
         options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
         preference = self._hints.preference(options, generator)
+        least, greatest = self._within
+        distances = self._hints.distances(options, self._frontier.centres(targets))
+        is_near = (distances >= least) & (distances <= greatest)
+        preference = np.where(is_near, preference, np.minimum(preference, 0.0))
         parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
         return parents
 
@@ -136,14 +143,14 @@ class Aimed:
         is_synergy = np.array([name == SYNERGY for name in names], dtype=np.bool_)
         return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
 
-    def _weights(self, aims: Aims) -> Floats:
+    def _weights(self, wanted: Floats) -> Floats:
         """What the candidates of each genome are ranked by, and what they must promise: (n, features).
 
         Where every pose counts, one that is refused would count as well.
         """
         if self._counts_all:
-            return np.zeros((len(aims), len(FEATURES)))
-        return self._ranker.wanting(self._gate.wanted(self._frontier.dead_ends(aims.targets)))
+            return np.zeros((len(wanted), len(FEATURES)))
+        return self._ranker.wanting(wanted)
 
     def _scouts(self, generation: int, n: int) -> Aims:
         found = len(self._hints) > 0

@@ -21,6 +21,7 @@ DEAD_END = 0.5
 """What a dead end weighs against a try: it costs no simulation, and the next draw may be none."""
 USUAL = (1.0, -5.0, 3.0, 2.0)
 """What `features` weigh before the first fit: what finished runs of all hands and objects nearly agree on."""
+ANYWHERE = (0.0, np.inf)
 NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
 """(26, 3): the steps from a cell to those around it."""
 
@@ -37,9 +38,12 @@ class Frontier:
         The box of positions, enlarged to whole cells.
     reach
         The greatest distance from the hand to the surface point that it looks at [m].
+    within
+        The least and the greatest distance of a cell from a success's contact point beside it, for it to be
+        aimed at [m].
     """
 
-    def __init__(self, box: Box, reach: float) -> None:
+    def __init__(self, box: Box, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         self._shape = tuple(
             (self._high - self._low + 3).tolist()
@@ -51,11 +55,13 @@ class Frontier:
         self._successful = np.zeros(size, np.bool_)
         self._neighbours = np.zeros(size, np.uint8)
         self._distances = np.full(size, np.inf, np.float32)
+        self._farthest = np.zeros(size, np.float32)
         self._reach = reach
+        self._within = within
         self._model = Logistic(USUAL)
-        self._within = np.zeros(self._shape, np.bool_)
-        self._within[1:-1, 1:-1, 1:-1] = True
-        self._within = self._within.reshape(-1)
+        inside = np.zeros(self._shape, np.bool_)
+        inside[1:-1, 1:-1, 1:-1] = True
+        self._inside = inside.reshape(-1)
         self._edge: Places = np.zeros(0, np.intp)
 
     @property
@@ -110,8 +116,10 @@ class Frontier:
         self._successful[new] = True
         around = self.around(new).ravel()
         ways = self.centres(around) - np.repeat(contacts, len(NEIGHBOURS), axis=0)
-        np.minimum.at(self._distances, around, np.sqrt(dot(ways, ways)).astype(np.float32))
-        touched = np.unique(around[(self._neighbours[around] == 0) & self._within[around]])
+        distances = np.sqrt(dot(ways, ways)).astype(np.float32)
+        np.minimum.at(self._distances, around, distances)
+        np.maximum.at(self._farthest, around, distances)
+        touched = np.unique(around[(self._neighbours[around] == 0) & self._inside[around]])
         np.add.at(self._neighbours, around, 1)
         edge = np.concatenate([self._edge, touched])
         self._edge = edge[~self._successful[edge]]
@@ -139,8 +147,13 @@ class Frontier:
 
         Among equals `generator` draws.
         """
-        places = self._edge if among is None else among
+        places = self._edge[self._are_near(self._edge)] if among is None else among
         return top(places, self.worth(places), n, generator)
+
+    def _are_near(self, places: Places) -> NDArray[np.bool_]:
+        """Which of cells (n,) may be as far from a contact point as is wanted."""
+        least, greatest = self._within
+        return (self._farthest[places] >= least) & (self._distances[places] <= greatest)
 
     def dead_ends(self, positions: Floats) -> NDArray[np.int32]:
         """How many dead ends there were in the cells of `positions` (n, 3) [m]; none outside the box."""

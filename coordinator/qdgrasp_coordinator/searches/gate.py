@@ -18,6 +18,8 @@ SHARE = 0.1
 """The least share of genomes that are to be simulated; where it is less, less is wanted."""
 STEP = 0.9
 """What a generation changes."""
+LEAST = 1e-3
+"""What is asked of a candidate at the least."""
 
 
 class Gate:
@@ -28,10 +30,11 @@ class Gate:
 
     def wanted(self, dead_ends: NDArray[np.int32]) -> Floats:
         """How likely a success must be for a simulation, in cells (n,) with so many dead ends."""
-        wanted: Floats = self._wanted / (LESS * dead_ends.astype(np.float64) + 1.0)
+        wanted: Floats = np.maximum(LEAST, self._wanted / (LESS * dead_ends.astype(np.float64) + 1.0))
         return wanted
 
     def tell(self, simulated: NDArray[np.bool_]) -> None:
         """Hear which genomes (n,) of a generation were simulated."""
         is_narrow = np.count_nonzero(simulated) < SHARE * len(simulated)
-        self._wanted = min(WANTED, self._wanted * STEP if is_narrow else self._wanted / STEP)
+        wanted = self._wanted * STEP if is_narrow else self._wanted / STEP
+        self._wanted = min(WANTED, max(LEAST, wanted))

@@ -58,6 +58,12 @@ class Hints:
         """The surface points (n, 3) [m] that the grasps at `places` (n,) look at."""
         return self._at("point", places)
 
+    def distances(self, options: Places, points: Floats) -> Floats:
+        """How far the surface points of `options` (n, k) are from points (n, 3): (n, k) [m]."""
+        ways = self._at("point", options) - points[:, None]
+        distances: Floats = np.sqrt((ways * ways).sum(axis=2))
+        return distances
+
     def rolls(self, places: Places, directions: Floats) -> Floats:
         """The rolls (n,) [rad] of the grasps at `places` (n,), read about other unit `directions` (n, 3)."""
         return rolls(self._at("aside", places), directions)

@@ -21,20 +21,26 @@ class Ranker:
     def wanting(self, likely: Floats) -> Floats:
         """Weights (n, features) for genomes of which no candidate less `likely` (n,) to succeed is simulated.
 
-        Then the score is negative. Before the first fit they want nothing.
+        Then the score is negative. Where `likely` is 0, and before the first fit, they want nothing.
         """
-        n = len(likely)
-        weights = np.tile(self._model.weights, (n, 1))
+        weights = np.tile(self._model.weights, (len(likely), 1))
         if weights.any():
-            least = np.rint(np.log(likely / (1.0 - likely)) * GRAIN) / GRAIN
-            constant = weights[:, -1] - least
-            weights[:, -1] = np.where(constant == 0.0, 1.0 / GRAIN, constant)
+            is_choosy = likely > 0.0
+            weights[~is_choosy, -1] = 0.0
+            weights[is_choosy, -1] -= _odds(likely[is_choosy])
+            weights[is_choosy & (weights[:, -1] == 0.0), -1] = 1.0 / GRAIN
         return bearable(weights)
 
     def learn(self, simulated: Rows) -> None:
         """Hear of rows that were simulated."""
         features = simulated["descriptor"][:, 3:].astype(np.float64)
         self._model.learn(features, simulated["outcome"] >= Outcome.DROPPED)
+
+
+def _odds(likely: Floats) -> Floats:
+    """The score (n,) at which a success is as `likely` (n,), in whole grains."""
+    odds: Floats = np.rint(np.log(likely / (1.0 - likely)) * GRAIN) / GRAIN
+    return odds
 
 
 def bearable(weights: Floats) -> Floats:

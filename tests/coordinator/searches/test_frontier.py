@@ -153,3 +153,19 @@ def test_it_learns_which_distances_promise_success(frontier: Frontier) -> None:
     near, far = frontier.places([[0.01, 0, -0.01]]), frontier.places([[0.01, 0, 0.05]])
     near_worth, far_worth = frontier.worth(np.concatenate([near, far]))
     assert near_worth > 2 * far_worth
+
+
+def test_cells_that_no_contact_point_is_near_or_far_enough_from_are_not_aimed_at() -> None:
+    """All are of cells around a success whose contact point is 3 cm below it."""
+    random = np.random.default_rng(0)
+    everywhere, some = Frontier(BOX, REACH), Frontier(BOX, REACH, (0.025, 0.035))
+    for frontier in (everywhere, some):
+        frontier.succeed(frontier.places(np.zeros((1, 3))), np.array([[0.0, 0.0, -0.03]]))
+    assert set(some.edge) == set(everywhere.edge)
+    centres = some.centres(some.best(26, random))
+    distances = np.linalg.norm(centres - [0.0, 0.0, -0.03], axis=1)
+    assert 0 < len(centres) < 26
+    assert ((distances >= 0.025) & (distances <= 0.035)).all()
+    assert len(everywhere.best(26, random)) == 26
+    some.succeed(some.places(np.array([[0.0, 0.0, 0.02]])), np.array([[0.0, 0.0, -0.015]]))
+    assert len(some.best(100, random)) > len(centres)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.searches.gate import SHARE, WANTED, Gate
+from qdgrasp_coordinator.searches.gate import LEAST, SHARE, WANTED, Gate
 
 NONE, ALL = np.zeros(50, bool), np.ones(50, bool)
 
@@ -34,3 +34,13 @@ def test_enough_simulations_change_nothing() -> None:
     gate = Gate()
     gate.tell(np.arange(50) < SHARE * 50)
     assert wanted(gate) == WANTED
+
+
+def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
+    gate = Gate()
+    for _ in range(10_000):
+        gate.tell(NONE)
+    assert wanted(gate, 10**6) == wanted(gate) == LEAST
+    for _ in range(100):
+        gate.tell(ALL)
+    assert wanted(gate) == pytest.approx(WANTED)

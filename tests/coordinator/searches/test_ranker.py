@@ -47,6 +47,14 @@ def test_a_weight_for_the_constant_is_never_zero() -> None:
     assert ranker.wanting(np.array([0.5]))[0, -1] > 0
 
 
+def test_who_wants_nothing_is_not_choosy_and_ranks_alike() -> None:
+    ranker = Ranker()
+    ranker._model.weights = np.arange(N, dtype=np.float64)
+    anything, choosy = ranker.wanting(np.array([0.0, 0.3]))
+    assert anything[-1] == 0 != choosy[-1]
+    assert anything[:-1].tolist() == choosy[:-1].tolist()
+
+
 def test_weights_fit_into_their_genes_in_the_same_proportions() -> None:
     weights = bearable(np.array([[30.0, -3.0, 0.0, 15.0, 0.0, 7.5], [7.0, -3.0, 0.0, 1.0, 0.0, 5.0]]))
     assert weights[0] == pytest.approx([8, -0.8, 0, 4, 0, 2])
