@@ -53,6 +53,7 @@ class Slot:
         """Nominal rows that the journal is to hold."""
         self._rows = shape.empty(len(genomes) * (1 + trials)).reshape(len(genomes), 1 + trials)
         """By index and trial; what is never written costs no memory."""
+        self._bytes = whole(self._rows)
         self._rows["generation"][:, 0] = number
         self._rows["index"][:, 0] = np.arange(len(genomes))
         self._rows["genome"][:, 0] = genomes
@@ -166,7 +167,7 @@ class Slot:
         return Generation(self.number, indices.astype(np.uint32), trials.astype(np.uint16), genomes)
 
     def _put(self, rows: Rows, indices: Places, trials: Places) -> None:
-        whole(self._rows)[indices, trials] = whole(rows)
+        self._bytes[indices, trials] = whole(rows)
         self._here[indices, trials] = True
         nominal = indices[trials == 0]
         self._is_success[nominal] = self._rows["outcome"][nominal, 0] >= Outcome.DROPPED

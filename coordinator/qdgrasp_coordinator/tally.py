@@ -81,7 +81,7 @@ class Tally:
         self._fruitful = 0  # nominal rows up to the last generation that counted something
         self._last: np.void | None = None  # the last nominal row
         self._trials_follow = False
-        self._outcomes = np.zeros(len(Outcome), dtype=np.int64)
+        self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
 
     def count(self, rows: Rows) -> None:
@@ -93,16 +93,16 @@ class Tally:
         is_nominal = rows["trial"] == 0
         self._trials_follow = not is_nominal[-1]
         self._count_nominal(rows if is_nominal.all() else taken(rows, is_nominal))
-        self.trials = self.rows - int(self._outcomes.sum())
+        self.trials = self.rows - sum(self._outcomes)
 
     def _count_nominal(self, rows: Rows) -> None:
         if self._goals.no_new_cell is not None and len(rows):
             since = self._staleness(rows)
             self._most_stale = max(self._most_stale, self._stale, int(since[:-1].max(initial=0)))
             self._stale = int(since[-1])
-        outcomes = np.bincount(rows["outcome"], minlength=len(Outcome))
-        self._outcomes += outcomes
-        self.evaluations += int(len(rows) if self._overlaps == "count" else outcomes[Outcome.MISSED :].sum())
+        outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
+        self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
+        self.evaluations += len(rows) if self._overlaps == "count" else sum(outcomes[Outcome.MISSED :])
         self.proposals += int(rows["proposals"].sum(dtype=np.int64))
         found = rows["outcome"] >= Outcome.DROPPED
         self._cells.update(keys(cells(rows["descriptor"][found, :3])).tolist())
@@ -218,7 +218,7 @@ class Tally:
         return self._trials * self.successes - self.trials
 
     def _from(self, outcome: Outcome) -> int:
-        return int(self._outcomes[outcome:].sum())
+        return sum(self._outcomes[outcome:])
 
     @property
     def cells(self) -> int:
@@ -228,12 +228,12 @@ class Tally:
     @property
     def dead_ends(self) -> int:
         """Rows for which decoding found no pose."""
-        return int(self._outcomes[Outcome.DEAD_END])
+        return self._outcomes[Outcome.DEAD_END]
 
     @property
     def overlaps(self) -> int:
         """Rows whose open hand overlapped the object."""
-        return int(self._outcomes[Outcome.OVERLAP])
+        return self._outcomes[Outcome.OVERLAP]
 
     @property
     def simulated(self) -> int:
