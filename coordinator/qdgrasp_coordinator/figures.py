@@ -196,5 +196,5 @@ def from_json(payload: bytes, kind: type[AnyFigures]) -> AnyFigures:
     """
     try:
         return msgspec.json.decode(payload, type=kind)
-    except (msgspec.DecodeError, RecursionError) as error:  # lists in lists in lists
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # ValueError: text that is not UTF-8
         raise MessageError(f"not figures: {error}") from None

@@ -1,0 +1,121 @@
+"""What each process does with the bytes that reach it, as far as these decide; and messages to begin with."""
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from qdgrasp_coordinator.batch import readable
+from qdgrasp_coordinator.figures import Figures, JobFigures, JobMeta, WorkerFigures, from_json, to_json
+from qdgrasp_coordinator.stretch import from_message
+from qdgrasp_coordinator.subject import Subject
+from qdgrasp_protocol import codec, messages
+from qdgrasp_protocol.messages import Message
+from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, Shape, pack, unpack
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SHAPE = Shape(genes=7, joints=2)
+ROWS = 5
+LEASED = [column for column in KEY + GENOME if column.name != "generation"]
+WID, DIGEST, BATCH = "0123456789abcdef" * 2, "ab" * 32, bytes(range(16))
+PLATFORM = {"qdgrasp": "0.1.0", "machine": "x86_64", "probes": DIGEST}
+SPEC = to_toml(RunSpec(gripper="panda", object="mug")).encode()
+
+Consumer = Callable[[bytes], object]
+"""Takes bytes as they arrive; refuses them with an error of ours."""
+
+
+def work(payload: bytes) -> object:
+    """A worker's part."""
+    leased = codec.decode(payload, messages.Work)
+    return unpack(SHAPE.empty(leased.n), LEASED, leased.columns, SHAPE)
+
+
+def result(payload: bytes) -> object:
+    """A coordinator's part."""
+    return readable(codec.decode(payload, messages.Result), SHAPE)
+
+
+def recordable(payload: bytes) -> object:
+    """A recorder's part, and that of a coordinator that replays."""
+    return from_message(codec.decode(payload, messages.Recordable), SHAPE)
+
+
+def opening(payload: bytes) -> object:
+    """A recorder's part; specs are TOML."""
+    return [Subject.of(run) for run in codec.decode(payload, messages.Open).runs]
+
+
+def shown(kind: Any) -> Consumer:
+    """A monitor's part: JSON."""
+    return lambda payload: from_json(payload, kind)
+
+
+def plain(kind: type[Message]) -> Consumer:
+    """Nothing but the codec."""
+    return lambda payload: codec.decode(payload, kind)
+
+
+OWN: dict[type[Message], Consumer] = {
+    messages.Work: work,
+    messages.Result: result,
+    messages.Recordable: recordable,
+    messages.Open: opening,
+}
+KINDS = [
+    kind
+    for kind in vars(messages).values()
+    if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
+]
+SHOWN = (Figures, JobFigures, WorkerFigures, JobMeta)
+CONSUMERS: dict[str, Consumer] = {
+    **{kind.__name__.lower(): OWN.get(kind, plain(kind)) for kind in KINDS},
+    **{kind.__name__.lower(): shown(kind) for kind in SHOWN},
+}
+"""By the kind of message."""
+
+
+def seeds() -> dict[str, bytes]:
+    """One good message of each kind."""
+    rows = SHAPE.empty(ROWS)
+    for column in COLUMNS:
+        rows[column.name] = np.arange(rows[column.name].size).reshape(rows[column.name].shape) % 3
+    known = {
+        messages.Work: {"columns": pack(rows, LEASED)},
+        messages.Result: {
+            "columns": pack(rows, RESULT),
+            "failures": [messages.Failure(row=1, reason="it fell")],
+        },
+        messages.Recordable: {
+            "columns": pack(rows, COLUMNS),
+            "failures": [messages.Failure(row=0, reason="x")],
+        },
+        messages.Open: {
+            "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
+        },
+    }
+    made = {kind.__name__.lower(): codec.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
+    return made | {kind.__name__.lower(): to_json(_shown(kind)) for kind in SHOWN}
+
+
+def _shown(kind: Any) -> Any:
+    """Figures whose numbers are 1 and whose words are x."""
+    fields = msgspec.inspect.type_info(kind).fields
+    return kind(**{f.name: "x" if isinstance(f.type, msgspec.inspect.StrType) else 1 for f in fields})
+
+
+def _made(kind: type[Message], given: dict[str, Any]) -> Message:
+    """A message whose fields are what their names say, besides those given."""
+    common: dict[str, Any] = {
+        "epoch": 3, "run": "run", "scene": DIGEST, "prior": "contact", "generation": 7, "batch": BATCH,
+        "attempt": 1, "join": 2, "n": ROWS, "genes": 7, "joints": 2, "descriptors": 3, "wid": WID,
+        "cpu_seconds": 0.5, "versions": [1], "number": 1, "credit": 2, "held": [BATCH], "host": "node7",
+        "pid": 77, "platform": PLATFORM, "drop": [BATCH], "act": "drain", "words": "done", "total": 3,
+        "data": b"chunk" * 20, "first": 10, "durable": 15, "job": "mugs", "limit": 100, "runs": [],
+    }  # fmt: skip
+    names = {field.name for field in msgspec.structs.fields(kind)}
+    values = {name: value for name, value in (common | given).items() if name in names}
+    if kind is messages.Opened:
+        values["durable"] = [15]
+    return kind(**values)

@@ -1,0 +1,42 @@
+"""Whatever arrives is a message or an error of ours: no crash, no growth, no long thought."""
+
+import pytest
+from tests.fuzz.consumers import CONSUMERS, seeds
+from tests.fuzz.lap import SLOW, Lap, corpus, run
+
+MESSAGES = 20_000
+GROWTH = 64 << 20  # bytes; a message may have 16 MB
+
+
+@pytest.mark.parametrize("kind", CONSUMERS)
+def test_a_good_message_is_taken(kind: str) -> None:
+    lap = Lap()
+    lap.give(kind, seeds()[kind])
+    assert lap.taken == {kind: 1}
+
+
+def test_what_was_interesting_once_is_refused_or_taken_everywhere() -> None:
+    lap = Lap()
+    payloads = {payload for found in corpus().values() for payload in found}
+    assert len(payloads) >= 20
+    for payload in payloads:
+        for kind in CONSUMERS:
+            lap.give(kind, payload)
+    assert lap.escaped == []
+    assert lap.slowest < SLOW
+
+
+def test_twenty_thousand_changed_messages_are_refused_or_taken() -> None:
+    lap = run(MESSAGES, seed=0)
+    assert lap.messages == MESSAGES
+    assert lap.escaped == []
+    assert lap.slowest < SLOW
+    assert lap.growth < GROWTH
+    assert set(lap.taken) >= set(CONSUMERS), "changes that leave a message good are tried too"
+    assert lap.refused["MessageError"] > MESSAGES / 2
+
+
+def test_the_same_seed_gives_the_same_changes() -> None:
+    first, second, third = (run(500, seed=seed) for seed in (1, 1, 2))
+    assert (first.taken, first.refused) == (second.taken, second.refused)
+    assert (first.taken, first.refused) != (third.taken, third.refused)
