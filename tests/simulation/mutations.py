@@ -1,0 +1,294 @@
+"""Mutations: each breaks one rule of a state machine; the invariants must notice, within some histories.
+
+`MUTATIONS` names them: what is replaced, by what. A mutation that nothing notices says that the histories are
+too tame, or an invariant is missing.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any
+from unittest.mock import patch
+
+from tests.simulation.play import play
+
+from qdgrasp_coordinator import dispatch as dispatching
+from qdgrasp_coordinator import tickets as ticketing
+from qdgrasp_coordinator.backlog import Backlog
+from qdgrasp_coordinator.batch import Settlement
+from qdgrasp_coordinator.dispatch import Dispatch
+from qdgrasp_coordinator.generation import Slot
+from qdgrasp_coordinator.holding import Holding
+from qdgrasp_coordinator.intake import Intake, Verdict
+from qdgrasp_coordinator.outbox import Outbox
+from qdgrasp_coordinator.pipeline import Pipeline
+from qdgrasp_coordinator.reports import Reports
+from qdgrasp_coordinator.roster import Member, Roster
+from qdgrasp_coordinator.scribe import Scribe
+from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.tickets import Tickets
+from qdgrasp_coordinator.turn import Turn
+from qdgrasp_protocol.messages import Recorded
+from qdgrasp_worker.serving.appointment import Appointment
+from qdgrasp_worker.serving.desk import Desk
+
+MOST = 60
+"""A mutation is to be noticed within so many histories."""
+Patch = Any
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One broken rule."""
+
+    name: str
+    rule: str
+    """The rule of docs/bus.md, or what else is broken."""
+    patches: Callable[[], list[Patch]]
+
+    @contextmanager
+    def applied(self) -> Iterator[None]:
+        """The rule is broken within this context."""
+        with ExitStack() as stack:
+            for one in self.patches():
+                stack.enter_context(one)
+            yield
+
+
+def method(owner: type, name: str, make: Callable[[Any], Any]) -> Patch:
+    """A method replaced by what `make` makes of it."""
+    return patch.object(owner, name, make(getattr(owner, name)))
+
+
+def value(owner: type, name: str, get: Callable[[Any], Any]) -> Patch:
+    """A property replaced by a function."""
+    return patch.object(owner, name, property(get))
+
+
+# Dispatch and desk.
+
+
+def _accept_any_join(desk: Desk, work: Any) -> bool:
+    if work.epoch != desk.epoch:
+        return False
+    desk._held[work.batch] = work
+    return True
+
+
+def _accept_any_epoch(desk: Desk, work: Any) -> bool:
+    if work.join != desk.number:
+        return False
+    desk._held[work.batch] = work
+    return True
+
+
+def _settle_again(judge: Any) -> Any:
+    def judged(tickets: Tickets, wid: str, result: Any) -> Settlement:
+        kind = judge(tickets, wid, result)
+        if kind is Settlement.DUPLICATE or kind is Settlement.LATE:
+            tickets._open[result.batch] = tickets._settled.pop(result.batch)
+            return Settlement.FRESH
+        return kind
+
+    return judged
+
+
+def _remember_rows(close: Any) -> Any:
+    """Settled tickets keep their rows, so that they can be settled again."""
+
+    def closed(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
+        batch = ticket.batch
+        close(tickets, ticket, winner)
+        tickets._settled[batch.id].batch = batch
+
+    return closed
+
+
+def _accept_anybody(judge: Any) -> Any:
+    def judged(tickets: Tickets, wid: str, result: Any) -> Settlement:
+        ticket = tickets._open.get(result.batch)
+        if ticket is not None and result.n == len(ticket.batch):
+            ticket.leased.add(wid)
+        return judge(tickets, wid, result)
+
+    return judged
+
+
+def _forget_requeued(requeue: Any) -> Any:
+    def requeued(dispatch: Dispatch, batch_ids: Any) -> int:
+        with patch.object(Backlog, "put_back"):
+            return requeue(dispatch, batch_ids)
+
+    return requeued
+
+
+def _join_without_requeue(join: Any) -> Any:
+    def joined(dispatch: Dispatch, *arguments: Any) -> list[bytes]:
+        with patch.object(Dispatch, "_requeue", lambda self, ids: len(list(ids))):
+            return join(dispatch, *arguments)
+
+    return joined
+
+
+def _never_give_up(member: Member) -> str:
+    member.is_stuck = True
+    return "kept"
+
+
+def _withdraw_half(withdraw: Any) -> Any:
+    def withdrawn(dispatch: Dispatch, run: str) -> Any:
+        with patch.object(Backlog, "withdraw"):
+            return withdraw(dispatch, run)
+
+    return withdrawn
+
+
+# Pipeline, outbox, recorder.
+
+
+def _arrived_with_gaps(slot: Slot) -> Any:
+    indices, trials = slot._next(4096)
+    here = slot._here[indices, trials]
+    n = int(here.sum())
+    return slot._rows[indices[here], trials[here]][:n]
+
+
+def _replay_without_last(replay: Any) -> Any:
+    def replayed(pipeline: Pipeline, rows: Any) -> None:
+        replay(pipeline, rows[:-1])
+
+    return replayed
+
+
+def _report_expected(report: Any) -> Any:
+    def reported(scribe: Scribe, run: str) -> Recorded:
+        message: Recorded = report(scribe, run)
+        return Recorded(
+            epoch=message.epoch, run=run, durable=scribe._books._ledgers[run].intake.expected, trouble=""
+        )
+
+    return reported
+
+
+def _forget_sent(due: Any) -> Any:
+    def sent(outbox: Outbox, now: float) -> list[Stretch]:
+        stretches: list[Stretch] = due(outbox, now)
+        if stretches:
+            outbox._forget(outbox._end)
+        return stretches
+
+    return sent
+
+
+def _number_batches(push: Any) -> Any:
+    def pushed(outbox: Outbox, stretch: Stretch) -> None:
+        if len(stretch):
+            outbox._kept.append(replace(stretch, first=outbox._end))
+            outbox._end += 1
+
+    return pushed
+
+
+def _take_any_epoch(offer: Any) -> Any:
+    def offered(intake: Intake, epoch: int, stretch: Stretch, now: float) -> Verdict:
+        intake.epoch = epoch
+        verdict: Verdict = offer(intake, epoch, stretch, now)
+        return verdict
+
+    return offered
+
+
+def _take_past_gaps(offer: Any) -> Any:
+    def offered(intake: Intake, epoch: int, stretch: Stretch, now: float) -> Verdict:
+        if stretch.first > intake.expected:
+            stretch = replace(stretch, first=intake.expected)
+        verdict: Verdict = offer(intake, epoch, stretch, now)
+        return verdict
+
+    return offered
+
+
+MUTATIONS = [
+    Mutation("drop the join fence", "3", lambda: [patch.object(Desk, "accept", _accept_any_join)]),
+    Mutation(
+        "settle twice",
+        "5",
+        lambda: [method(Tickets, "close", _remember_rows), method(Tickets, "judge", _settle_again)],
+    ),
+    Mutation(
+        "take a result from a worker that was not leased it",
+        "5",
+        lambda: [method(Tickets, "judge", _accept_anybody)],
+    ),
+    Mutation("acknowledge before durable", "8", lambda: [method(Scribe, "_report", _report_expected)]),
+    Mutation("forget before durable", "8", lambda: [method(Outbox, "due", _forget_sent)]),
+    Mutation("tell out of order", "7", lambda: [patch.object(Slot, "arrived", _arrived_with_gaps)]),
+    Mutation("take rows of an older epoch", "8", lambda: [method(Intake, "offer", _take_any_epoch)]),
+    Mutation("take rows past a gap", "8", lambda: [method(Intake, "offer", _take_past_gaps)]),
+    Mutation("no lease ever passes", "4", lambda: [patch.object(Member, "deadline", lambda *_: inf)]),
+    Mutation(
+        "only lost tokens end leases",
+        "4",
+        lambda: [
+            patch.object(
+                Member,
+                "deadline",
+                lambda member, limit: inf if member.gone_at is None else member.gone_at + 1.0,
+            )
+        ],
+    ),
+    Mutation("queue again without taking away", "5", lambda: [patch.object(Backlog, "remove")]),
+    Mutation(
+        "forget what is to be queued again", "4", lambda: [method(Dispatch, "_requeue", _forget_requeued)]
+    ),
+    Mutation("a join queues nothing again", "4", lambda: [method(Dispatch, "join", _join_without_requeue)]),
+    Mutation("ignore credit", "1", lambda: [value(Member, "has_credit", lambda m: len(m.batches) < 9)]),
+    Mutation("give no credit back", "1", lambda: [patch.object(Dispatch, "_release", lambda *_: None)]),
+    Mutation("replay skips a row", "9", lambda: [method(Pipeline, "replay", _replay_without_last)]),
+    Mutation("number batches, not rows", "8", lambda: [method(Outbox, "push", _number_batches)]),
+    Mutation("give up while cut off", "4", lambda: [patch.object(Roster, "link", lambda *_: None)]),
+    Mutation("send rows once", "8", lambda: [patch.object(Outbox, "_resend", lambda *_: None)]),
+    Mutation("ask without end", "8", lambda: [value(Outbox, "is_full", lambda _: False)]),
+    Mutation("report once", "8", lambda: [patch.object(Reports, "heard", lambda *_: None)]),
+    Mutation(
+        "never forget a worker",
+        "4",
+        lambda: [patch.object(Roster, "_give_up", lambda _, m: _never_give_up(m))],
+    ),
+    Mutation("remember every batch", "5", lambda: [patch.object(ticketing, "REMEMBERED", 10**9)]),
+    Mutation("poison is tried for ever", "6", lambda: [patch.object(dispatching, "STRIKES", 10**9)]),
+    Mutation(
+        "a finished run stays in the backlog", "7", lambda: [method(Dispatch, "withdraw", _withdraw_half)]
+    ),
+    Mutation("the epoch is not stored", "8", lambda: [patch.object(Holding, "store_epoch", lambda _: None)]),
+    Mutation("pass over a higher epoch", "8", lambda: [patch.object(Turn, "_take_token", lambda *_: None)]),
+    Mutation(
+        "keep work of an older epoch",
+        "3",
+        lambda: [patch.object(Desk, "accept", _accept_any_epoch)],
+    ),
+    Mutation("ask once to join", "2", lambda: [patch.object(Appointment, "join_later", lambda *_: None)]),
+]
+
+
+def noticed(mutation: Mutation, most: int = MOST, first: int = 0) -> tuple[str, int] | None:
+    """The invariant that noticed a mutation, and after how many histories; None: none did."""
+    with mutation.applied():
+        for count, number in enumerate(range(first, first + most), 1):
+            verdict = play(number)
+            if verdict.violated is not None:
+                return verdict.violated.invariant, count
+    return None
+
+
+def show() -> int:
+    """Try all; prints a table, and gives 1 where one was not noticed."""
+    missed = 0
+    print("| mutation | rule | noticed by | after histories |\n|---|---|---|---|")  # noqa: T201
+    for mutation in MUTATIONS:
+        found = noticed(mutation)
+        missed += found is None
+        invariant, count = found or ("**nothing**", MOST)
+        print(f"| {mutation.name} | {mutation.rule} | {invariant} | {count} |", flush=True)  # noqa: T201
+    return int(bool(missed))

@@ -1,0 +1,347 @@
+"""The bus, simulated: sessions on links to one router, as zenoh behaves (docs/bus.md).
+
+Messages of one link and channel stay in order; what is sent while there is no link, or is under way when
+it breaks, is lost; nobody is told. A link that is cut for less than a transport lease only delays.
+Beyond zenoh, messages may also be lost, repeated or, where the terms say so, overtake each other.
+"""
+
+from collections import defaultdict, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from tests.simulation.world import World
+
+from qdgrasp_coordinator.inbox import LinkChange, TokenChange
+from qdgrasp_protocol.bus import Channel, Query, Sample
+from qdgrasp_protocol.errors import NoReply
+
+LEASE = 4.0
+"""Seconds of silence after which both ends give a link up."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """How well messages travel; probabilities are per message and link."""
+
+    delay: float = 0.01
+    """The mean of each way's time [s]."""
+    loss: float = 0.0
+    repeat: float = 0.0
+    stall: float = 0.0
+    """The probability of a delay of up to 15 s."""
+    in_order: bool = True
+    """Messages of one link and channel arrive in the order in which they were sent."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A question that reached who answers it."""
+
+    query: Query
+    reply: Callable[[bytes | Exception], None]
+
+
+class Host(Protocol):
+    """Who holds a session."""
+
+    name: str
+
+    def hear(self, event: object) -> None:
+        """Take a message, a question, a token's change or a link's."""
+
+
+@dataclass(eq=False)
+class Session:
+    """One process's session, and its link to the router."""
+
+    host: Host
+    is_up: bool = True
+    is_local: bool = False
+    """The router is in its own process: the link never breaks."""
+    connection: int = 0
+    """Counts its links: what was sent on an older one is lost."""
+    cut_until: float = 0.0
+    tokens: set[str] = field(default_factory=set)
+    watched: list[str] = field(default_factory=list)
+    known: set[str] = field(default_factory=set)
+    """The tokens it was told are alive."""
+    arrivals: dict[tuple[str, Channel], float] = field(default_factory=lambda: defaultdict(float))
+    """The latest arrival on each way and channel."""
+
+
+def any_of(key: str) -> str:
+    """The pattern of all keys that differ in their last chunk."""
+    return key.rsplit("/", 1)[0] + "/*"
+
+
+class Network:
+    """One router, and the sessions on it."""
+
+    def __init__(self, world: World, terms: Terms) -> None:
+        self._world = world
+        self.terms = terms
+        self.is_up = True
+        """Whether the router runs."""
+        self.sessions: list[Session] = []
+        self.recent: deque[tuple[Sample, Channel]] = deque(maxlen=50)
+        """What was put last."""
+        self._subscribers: dict[str, list[Session]] = defaultdict(list)
+        self._answerers: dict[str, list[Session]] = defaultdict(list)
+
+    # Sessions come and go.
+
+    def open(self, host: Host) -> Session:
+        """Open a session."""
+        session = Session(host, is_up=self.is_up)
+        self.sessions.append(session)
+        if not self.is_up:
+            self._retry(session)
+        return session
+
+    def close(self, session: Session, *, flushed: bool = True) -> None:
+        """Take back all that a session declared.
+
+        Parameters
+        ----------
+        flushed
+            Whether what it has sent still arrives.
+        """
+        self.sessions.remove(session)
+        for table in (self._subscribers, self._answerers):
+            for sessions in table.values():
+                if session in sessions:
+                    sessions.remove(session)
+        if not flushed:
+            session.connection += 1
+        if session.is_up:
+            self._announce(session.tokens, alive=False)
+        session.is_up = False
+
+    def subscribe(self, session: Session, pattern: str) -> None:
+        """Hear messages."""
+        self._subscribers[pattern].append(session)
+
+    def answer(self, session: Session, pattern: str) -> None:
+        """Hear questions."""
+        self._answerers[pattern].append(session)
+
+    def token(self, session: Session, key: str) -> None:
+        """Be alive."""
+        session.tokens.add(key)
+        if session.is_up:
+            self._announce({key}, alive=True)
+
+    def hand_in(self, session: Session, key: str) -> None:
+        """Be alive no more."""
+        session.tokens.discard(key)
+        if session.is_up and session in self.sessions:
+            self._announce({key}, alive=False)
+
+    def watch(self, session: Session, pattern: str) -> None:
+        """Hear of tokens, those alive first."""
+        session.watched.append(pattern)
+        if session.is_up:
+            self._tell(session, self._alive, alive=True)
+
+    # Messages and questions.
+
+    def put(self, session: Session, key: str, payload: bytes, encoding: str, channel: Channel) -> None:
+        """Send a message to whoever hears it; without a link it is lost."""
+        sample = Sample(key, payload, encoding)
+        if channel is not Channel.MONITOR and session.is_up:
+            self.recent.append((sample, channel))
+        self._travel(session, "up", channel, lambda: self._route(sample, channel))
+
+    def repeat(self, sample: Sample, channel: Channel) -> None:
+        """Deliver an old message once more."""
+        if self.is_up:
+            self._route(sample, channel)
+
+    def ask(
+        self, session: Session, key: str, payload: bytes, reply: Callable[[bytes | Exception], None]
+    ) -> None:
+        """Put a question; the reply may never come."""
+        query = Query(key, "", payload)
+        self._travel(session, "up", Channel.DATA, lambda: self._ask(session, query, reply))
+
+    def ask_now(self, session: Session, key: str, payload: bytes) -> bytes:
+        """Put a question and have its answer at once, for those who can do nothing else meanwhile.
+
+        Raises
+        ------
+        NoReply
+            Nobody answers, or the answer was lost.
+        """
+        answers: list[bytes | Exception] = []
+        chance, loss = self._world.chance, self.terms.loss
+        if not session.is_up or self._world.now < session.cut_until or chance.random() < loss:
+            raise NoReply("there is no link")
+        for other in self._reached(self._answerers, key)[:1]:
+            if self._world.now >= other.cut_until:
+                other.host.hear(Asked(Query(key, "", payload), answers.append))
+        if not answers or chance.random() < loss:
+            raise NoReply("there is no answer")
+        if isinstance(answers[0], Exception):
+            raise answers[0]
+        return answers[0]
+
+    def _ask(self, session: Session, query: Query, reply: Callable[[bytes | Exception], None]) -> None:
+        def back(answer: bytes | Exception) -> None:
+            self._travel(session, "down", Channel.DATA, lambda: reply(answer))
+
+        others = self._reached(self._answerers, query.key)
+        if not others:
+            back(NoReply("nobody answers"))
+            return
+        other = self._world.chance.choice(others)
+
+        def answered(answer: bytes | Exception) -> None:
+            self._travel(other, "up", Channel.DATA, lambda: back(answer))
+
+        self._travel(other, "down", Channel.DATA, lambda: other.host.hear(Asked(query, answered)))
+
+    def _route(self, sample: Sample, channel: Channel) -> None:
+        for session in self._reached(self._subscribers, sample.key):
+            self._deliver(session, sample, channel)
+
+    def _deliver(self, session: Session, sample: Sample, channel: Channel) -> None:
+        self._travel(session, "down", channel, lambda: session.host.hear(sample))
+
+    def _reached(self, table: dict[str, list[Session]], key: str) -> list[Session]:
+        found = [*table.get(key, ()), *table.get(any_of(key), ())]
+        return [session for session in found if session.is_up]
+
+    def _travel(self, session: Session, way: str, channel: Channel, call: Callable[[], None]) -> None:
+        """Let a message go one way of a link: in order, late, twice or never."""
+        chance, terms = self._world.chance, self.terms
+        if not session.is_up or (terms.loss and chance.random() < terms.loss):
+            return
+        self._arrive(session, way, channel, call)
+        if terms.repeat and chance.random() < terms.repeat:
+            self._arrive(session, way, channel, call)
+
+    def _arrive(self, session: Session, way: str, channel: Channel, call: Callable[[], None]) -> None:
+        world, connection = self._world, session.connection
+        stalls = self.terms.stall and world.chance.random() < self.terms.stall
+        delay = world.chance.uniform(0, 15) if stalls else world.exponential(self.terms.delay)
+        time = max(world.now + delay, session.cut_until)
+        if self.terms.in_order:
+            time = max(time, session.arrivals[way, channel])
+            session.arrivals[way, channel] = time
+        world.at(time, lambda: call() if session.connection == connection else None)
+
+    # Tokens: kept by the router, told in order.
+
+    @property
+    def _alive(self) -> set[str]:
+        return {key for session in self.sessions if session.is_up for key in session.tokens}
+
+    def _announce(self, keys: set[str], *, alive: bool) -> None:
+        for session in self.sessions:
+            if session.is_up and session.watched:
+                self._tell(session, keys, alive=alive)
+
+    def _tell(self, session: Session, keys: set[str], *, alive: bool) -> None:
+        for key in sorted(keys):
+            if any_of(key) in session.watched:
+                self._travel_token(session, key, alive)
+
+    def _travel_token(self, session: Session, key: str, alive: bool) -> None:
+        """Tokens are never lost while the link holds."""
+
+        def told() -> None:
+            (session.known.add if alive else session.known.discard)(key)
+            session.host.hear(TokenChange(key, alive))
+
+        time = max(
+            self._world.now + self._world.exponential(self.terms.delay),
+            session.cut_until,
+            session.arrivals["tokens", Channel.CONTROL],
+        )
+        session.arrivals["tokens", Channel.CONTROL] = time
+        connection = session.connection
+        self._world.at(time, lambda: told() if session.connection == connection else None)
+
+    # Links break and mend.
+
+    def cut(self, session: Session, seconds: float) -> None:
+        """Let nothing pass a link for a while; both ends notice after a lease."""
+        world = self._world
+        if not session.is_up or session.is_local:
+            return
+        connection = session.connection
+        session.cut_until = max(session.cut_until, world.now + seconds)
+        world.note(session.host.name, f"link cut for {seconds:.1f} s")
+
+        def give_up() -> None:
+            if session.connection == connection and world.now < session.cut_until:
+                self.drop(session)
+
+        world.later(LEASE, give_up)
+
+    def drop(self, session: Session, *, known: bool = True) -> None:
+        """Break a link, which comes back soon.
+
+        Parameters
+        ----------
+        known
+            Whether its process can notice; it tries again only then.
+        """
+        if not session.is_up or session.is_local:
+            return
+        session.is_up = False
+        session.connection += 1
+        self._announce(session.tokens, alive=False)
+        if known:
+            self.notice(session)
+
+    def notice(self, session: Session) -> None:
+        """Let a process notice that its link is down."""
+        self._world.note(session.host.name, "link down")
+        session.host.hear(LinkChange(False))
+        for key in sorted(session.known):
+            session.host.hear(TokenChange(key, False))
+        session.known.clear()
+        self._retry(session)
+
+    def _retry(self, session: Session) -> None:
+        wait = self._world.chance.uniform(0.1, 1.0)
+        self._world.at(max(self._world.now, session.cut_until) + wait, lambda: self._connect(session))
+
+    def _connect(self, session: Session) -> None:
+        if session not in self.sessions or session.is_up:
+            return
+        if not self.is_up:
+            self._retry(session)
+            return
+        session.is_up = True
+        session.connection += 1
+        session.arrivals.clear()
+        self._world.note(session.host.name, "link up")
+        session.host.hear(LinkChange(True))
+        self._announce(session.tokens, alive=True)
+        if session.watched:
+            self._tell(session, self._alive - session.tokens, alive=True)
+
+    def restart(self, seconds: float) -> None:
+        """Let the router die, and another one come up."""
+        self.go_down()
+        self._world.later(seconds, self.come_up)
+
+    def go_down(self) -> None:
+        """Let the router die."""
+        if not self.is_up:
+            return
+        self._world.note("router", "gone")
+        self.is_up = False
+        for session in list(self.sessions):
+            session.connection += 1
+            if session.is_up:
+                session.is_up = False
+                self.notice(session)
+
+    def come_up(self) -> None:
+        """Let a router come up."""
+        self._world.note("router", "there")
+        self.is_up = True

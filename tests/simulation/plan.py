@@ -1,0 +1,112 @@
+"""What a history is about, drawn from its number: the runs, the machines, the bus and what goes wrong."""
+
+import random
+from dataclasses import dataclass, field
+
+from tests.coordinator.plans import Plan
+from tests.simulation.network import Terms
+
+FAULTS = {
+    "a worker is killed": 0.3,
+    "a worker's machine loses its power": 0.1,
+    "a worker is asked to leave": 0.2,
+    "a worker joins": 0.2,
+    "a worker is frozen": 0.2,
+    "a simulator is killed": 0.1,
+    "a link is cut": 0.3,
+    "half of the links are cut": 0.05,
+    "the router restarts": 0.08,
+    "the coordinator is killed": 0.1,
+    "the coordinator is frozen": 0.05,
+    "the coordinator is frozen and replaced": 0.05,
+    "another coordinator is started": 0.05,
+    "the recorder is killed": 0.1,
+    "the recorder is frozen": 0.05,
+    "another recorder is started": 0.05,
+    "everything is killed": 0.02,
+    "the disk is full": 0.05,
+    "the disk is replaced by an older copy": 0.03,
+    "results are forged": 0.05,
+    "old messages are repeated": 0.5,
+}
+"""What goes wrong, and how often at most [1/s]."""
+
+
+@dataclass(frozen=True)
+class History:
+    """A history in brief."""
+
+    number: int
+    runs: tuple[Plan, ...]
+    workers: int
+    batch_size: int | None
+    row_seconds: float
+    spread: float
+    """The slowest worker takes so many times as long as the fastest."""
+    terms: Terms
+    latency: float
+    """The mean time of a commit [s]."""
+    hiccup: float
+    """The probability that a simulator fails on a row that is no poison, at most twice a row."""
+    is_embedded: bool
+    """The router is in the coordinator's process."""
+    faults: dict[str, float] = field(default_factory=dict)
+    """Rates [1/s]."""
+    calm_after: float = 20.0
+    """Faults end at this time [s]."""
+
+    @property
+    def rows(self) -> int:
+        """Rows of the runs at most, roughly."""
+        return sum((run.evaluations + 1000) * (1 + run.trials) for run in self.runs)
+
+
+def draw(number: int) -> History:
+    """The history of a number."""
+    chance = random.Random(number)  # noqa: S311 - dice, not secrets
+    many = chance.random() < 0.1
+    workers = chance.randint(5, 30) if many else chance.randint(1, 5)
+    runs = chance.choice([1, 1, 1, 2, 3])
+    return History(
+        number=number,
+        runs=tuple(_run(chance, number * 10 + place, many) for place in range(runs)),
+        workers=workers,
+        batch_size=chance.choice([None, 1, 2, 3, 5]),
+        row_seconds=chance.choice([0.05, 0.2, 0.5]),
+        spread=chance.choice([1, 2, 10]),
+        terms=_terms(chance),
+        latency=chance.choice([0.01, 0.01, 0.1, 1.0]),
+        hiccup=chance.choice([0.0, 0.0, 0.1]),
+        is_embedded=chance.random() < 0.5,
+        faults=_faults(chance),
+    )
+
+
+def _run(chance: random.Random, seed: int, many: bool) -> Plan:
+    return Plan(
+        seed=seed,
+        population=chance.choice([10, 25] if many else [1, 3, 6, 9]),
+        evaluations=chance.choice([40, 60] if many else [1, 7, 20, 30]),
+        overlaps=chance.choice(["count", "count", "count", "redraw"]),
+        in_flight=chance.choice([1, 1, 2, 3]),
+        trials=chance.choice([0, 0, 0, 2, 4]),
+    )
+
+
+def _terms(chance: random.Random) -> Terms:
+    if chance.random() < 0.7:
+        return Terms(delay=chance.choice([0.001, 0.02, 0.2]))
+    return Terms(
+        delay=chance.choice([0.001, 0.02, 0.2]),
+        loss=chance.choice([0.0, 0.01, 0.05]),
+        repeat=chance.choice([0.0, 0.1, 0.3]),
+        stall=chance.choice([0.0, 0.0, 0.0, 0.01]),
+        in_order=chance.random() < 0.5,
+    )
+
+
+def _faults(chance: random.Random) -> dict[str, float]:
+    """Some of the faults, some of them often: each history has its own kind of trouble."""
+    share = chance.choice([0.0, 0.1, 0.25, 0.5, 1.0])
+    haste = chance.choice([0.5, 1.0, 3.0])
+    return {name: haste * rate for name, rate in FAULTS.items() if chance.random() < share}

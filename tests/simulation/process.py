@@ -1,0 +1,181 @@
+"""A simulated process: one thread that listens and is busy; it may be frozen or killed at any time.
+
+What it does is a generator: it yields what it waits for, and goes on when that has come.
+"""
+
+from collections import deque
+from collections.abc import Generator
+from dataclasses import dataclass
+from math import inf
+
+from tests.simulation.network import Network
+from tests.simulation.searching import Violated
+from tests.simulation.world import Clock, World
+
+
+@dataclass(frozen=True)
+class Listen:
+    """Wait until something is in the inbox, or for so many seconds of the own clock."""
+
+    seconds: float = inf
+
+
+@dataclass(frozen=True)
+class Busy:
+    """Be at work for so many seconds, and hear nothing meanwhile."""
+
+    seconds: float
+
+
+MOST_TURNS = 2000
+"""So often within 0.1 s nobody has reason to look up."""
+Life = Generator[Listen | Busy, None, None]
+
+
+class Process:
+    """A process on a machine of its own, with a session on the bus."""
+
+    def __init__(self, world: World, network: Network, name: str) -> None:
+        chance = world.chance
+        self.world = world
+        self.network = network
+        self.name = name
+        self.clock = Clock(world, chance.uniform(0, 1e6), chance.uniform(0.98, 1.02))
+        self.inbox: deque[object] = deque()
+        self.is_over = False
+        """It has ended or was killed."""
+        self.is_frozen = False
+        self.session = network.open(self)
+        self._life = self.life()
+        self._waits = 0  # what it waits for has a number: an older one wakes nobody
+        self._is_listening = False
+        self._owed: int | None = None
+        self._turns = 0
+        self._rested = 0.0
+        world.later(0.0, lambda: self._go(0))
+
+    @property
+    def now(self) -> float:
+        """The time on its clock."""
+        return self.clock.now
+
+    @property
+    def is_running(self) -> bool:
+        """It is there, and not frozen."""
+        return not (self.is_over or self.is_frozen)
+
+    def life(self) -> Life:
+        """What it does, from its start to its end."""
+        raise NotImplementedError
+
+    def note(self, what: str) -> None:
+        """Note what happened."""
+        self.world.note(self.name, what)
+
+    def hear(self, event: object) -> None:
+        """Take something into the inbox."""
+        if self.is_over:
+            return
+        self.inbox.append(event)
+        if self._is_listening and not self.is_frozen:
+            self._wake()
+
+    def events(self) -> list[object]:
+        """Everything in the inbox, taken out."""
+        events = list(self.inbox)
+        self.inbox.clear()
+        return events
+
+    # It ends, or is stopped for a while.
+
+    def end(self, *, flushed: bool = True) -> None:
+        """Be gone, by its own will or by SIGKILL."""
+        if not self.is_over:
+            self._be_over()
+            self.network.close(self.session, flushed=flushed)
+
+    def lose_power(self) -> None:
+        """Be gone without anybody being told."""
+        if not self.is_over:
+            self._be_over()
+            self.session.connection += 1
+            self.session.cut_until = inf
+            self.world.later(4.0, lambda: self.network.close(self.session))
+
+    def freeze(self, seconds: float) -> None:
+        """SIGSTOP, and SIGCONT later; a link to it does not outlast a lease."""
+        if not self.is_running:
+            return
+        self.note(f"frozen for {seconds:.1f} s")
+        self.is_frozen = True
+        connection = self.session.connection
+        self.world.later(4.0, lambda: self._let_go(connection))
+        self.world.later(seconds, self._thaw)
+
+    def _be_over(self) -> None:
+        self.note("dies")
+        self.is_over = True
+        if not self._life.gi_running:
+            self._life.close()
+
+    def _let_go(self, connection: int) -> None:
+        if self.is_frozen and not self.is_over and self.session.connection == connection:
+            self.network.drop(self.session, known=False)
+
+    def _thaw(self) -> None:
+        if self.is_over:
+            return
+        self.note("goes on")
+        self.is_frozen = False
+        if not self.session.is_up:
+            self.network.notice(self.session)
+        if self._owed is not None:
+            owed, self._owed = self._owed, None
+            self._go(owed)
+        elif self._is_listening and self.inbox:
+            self._wake()
+
+    # It goes on.
+
+    def _wake(self) -> None:
+        self._is_listening = False
+        wait = self._waits
+        self.world.later(0.0, lambda: self._go(wait))
+
+    def _go(self, wait: int) -> None:
+        """Go on with what was waited for."""
+        if self.is_over or wait != self._waits:
+            return
+        if self.is_frozen:
+            self._owed = wait
+            return
+        self._waits += 1
+        self._is_listening = False
+        self.world.touched.append(self)
+        self._check_rest()
+        try:
+            request = next(self._life)
+        except StopIteration:
+            self.end()
+            return
+        self._wait_for(request)
+
+    def _check_rest(self) -> None:
+        """Check that it does not spin."""
+        self._turns += 1
+        if self.world.now > self._rested + 0.1:
+            self._turns, self._rested = 0, self.world.now
+        if self._turns > MOST_TURNS:
+            raise Violated("no machine spins", f"{self.name} goes on and on")
+
+    def _wait_for(self, request: Listen | Busy) -> None:
+        wait = self._waits
+        match request:
+            case Busy(seconds):
+                self.world.later(self.clock.span(seconds), lambda: self._go(wait))
+            case Listen(seconds):
+                if self.inbox:
+                    self.world.later(0.0, lambda: self._go(wait))
+                    return
+                self._is_listening = True
+                self.world.later(self.clock.span(seconds), lambda: self._go(wait))

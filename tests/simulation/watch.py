@@ -1,0 +1,331 @@
+"""The invariants: what must hold after every event, whatever went wrong before it.
+
+`INVARIANTS` names them; `Violated` says which one does not hold. The watch keeps books of its own: what it
+compares with is the undisturbed journal, and what it saw going in and out.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
+from tests.coordinator.plans import SHAPE, evaluate
+from tests.simulation.coordinator import Coordinator
+from tests.simulation.recorder import Recorder
+from tests.simulation.searching import Violated
+from tests.simulation.stage import Stage
+from tests.simulation.worker import CREDIT, Worker
+
+from qdgrasp_coordinator import intake, outbox, pace, roster, tickets
+from qdgrasp_coordinator.batch import Batch, Lease, Settled, Settlement
+from qdgrasp_coordinator.dispatch import Dispatch, Lost
+from qdgrasp_coordinator.lane import Lane
+from qdgrasp_coordinator.outbox import Outbox
+from qdgrasp_coordinator.record import RecorderLink
+from qdgrasp_protocol.messages import Recorded, Result
+from qdgrasp_protocol.rows import Rows
+
+INVARIANTS = {
+    "no machine fails": "no state machine raises what its callers do not expect",
+    "no machine spins": "nobody looks up again and again with nothing to do",
+    "settled once": "every batch is settled at most once, by a worker that was leased it, with its true rows",
+    "nothing is lost": "every row that was asked and is not settled waits or is leased, in one place",
+    "told in order": "the search is asked and told generation by generation, index by index, L in flight",
+    "true journal": "the disk holds a beginning of the undisturbed journal",
+    "recorded before forgotten": "the outbox keeps every row that is not on the disk",
+    "acknowledged when durable": "no number is reported that is not on the disk",
+    "epochs rise": "each turn has an epoch of its own; no rows of a lower one than the last are taken",
+    "bounded work": "nobody is leased or holds more batches than its credit",
+    "bounded memory": "no container grows beyond its stated bound",
+    "work is handed out": "no worker with credit waits while a batch does",
+    "patience while cut off": "nobody is given up while the coordinator's own link is down",
+    "progress": "with one worker left and nothing going wrong, rows are recorded, to the end",
+}
+PATIENCE, LOSSY_PATIENCE = 150.0, 900.0
+"""Seconds of calm in which a row must have been recorded; where messages are lost, leases must pass first."""
+SETTLED_DOWN = 30.0
+"""Seconds of calm after which only those are remembered who are there."""
+Key = tuple[str, int, int, int]
+"""A row: run, generation, index, trial."""
+
+
+def require(holds: bool, invariant: str, *words: object) -> None:
+    """Check one thing.
+
+    Raises
+    ------
+    Violated
+        It does not hold.
+    """
+    if not holds:
+        raise Violated(invariant, " ".join(map(str, words)))
+
+
+class TurnWatch:
+    """Watches the dispatch of one turn: what goes in, and what comes out."""
+
+    def __init__(self, host: Coordinator) -> None:
+        self._host = host
+        self._leased: dict[bytes, set[str]] = {}
+        self._settled: set[bytes] = set()
+        self.outstanding: set[Key] = set()
+        """Rows that were asked and are not settled."""
+        self.taken_back: Counter[str] = Counter()
+        """Batches that were taken back, by worker: it may not know."""
+        self._attach(host.turn.dispatch)
+
+    def _attach(self, dispatch: Dispatch) -> None:
+        self._dispatch = dispatch
+        for name in ("submit", "withdraw", "leases", "settle", "tick"):
+            setattr(self, f"_real_{name}", getattr(dispatch, name))
+            setattr(dispatch, name, getattr(self, f"_{name}"))
+
+    def _submit(self, run: str, scene: str, prior: str, generation: int, *rest: np.ndarray) -> None:
+        indices, trials, genomes = rest
+        keys = _keys(run, generation, indices, trials)
+        require(self.outstanding.isdisjoint(keys), "nothing is lost", "asked twice:", keys)
+        self.outstanding.update(keys)
+        self._real_submit(run, scene, prior, generation, indices, trials, genomes)
+
+    def _withdraw(self, run: str) -> dict[str, list[bytes]]:
+        self.outstanding = {key for key in self.outstanding if key[0] != run}
+        drops = self._real_withdraw(run)
+        self.taken_back.update({wid: len(batches) for wid, batches in drops.items()})
+        return drops
+
+    def _leases(self, now: float) -> list[Lease]:
+        leases = self._real_leases(now)
+        for lease in leases:
+            require(
+                lease.batch.id not in self._settled, "settled once", "leased again:", lease.batch.id.hex()
+            )
+            self._leased.setdefault(lease.batch.id, set()).add(lease.wid)
+            self._host.note(
+                f"leases {lease.batch.id.hex()[-4:]} to worker {int(lease.wid, 16)}, join {lease.join}"
+            )
+        waits = any(queue for queue in self._dispatch._backlog._queues.values())
+        free = self._dispatch._roster.free().first
+        require(not (waits and free), "work is handed out", free)
+        return leases
+
+    def _settle(self, wid: str, result: Result, rows: Rows, now: float) -> Settled:
+        settled = self._real_settle(wid, result, rows, now)
+        self._host.note(f"hears {result.batch.hex()[-4:]} of worker {int(wid, 16)}: {settled.kind.value}")
+        if settled.superseded is not None:
+            self.taken_back[settled.superseded] += 1
+        if settled.kind is not Settlement.FRESH:
+            return settled
+        batch = result.batch
+        require(batch not in self._settled, "settled once", "again:", batch.hex())
+        require(wid in self._leased.get(batch, ()), "settled once", "by", wid, "who was not leased it")
+        require(settled.rows is not None, "settled once", "without rows")
+        self._settled.add(batch)
+        self._check_rows(result.run, settled.rows)
+        return settled
+
+    def _check_rows(self, run: str, rows: Rows) -> None:
+        asked = SHAPE.empty(len(rows))
+        for column in ("generation", "index", "trial", "genome"):
+            asked[column] = rows[column]
+        require(evaluate(asked).tobytes() == rows.tobytes(), "settled once", "with other rows:", rows)
+        keys = set(
+            zip([run] * len(rows), *(rows[c].tolist() for c in ("generation", "index", "trial")), strict=True)
+        )
+        require(keys <= self.outstanding, "settled once", "nobody waits for", keys - self.outstanding)
+        self.outstanding -= keys
+
+    def _tick(self, now: float) -> list[Lost]:
+        lost = self._real_tick(now)
+        for worker in lost:
+            self._host.note(f"gives worker {int(worker.wid, 16)} up: {worker.reason}")
+        require(not lost or self._host.link_is_up, "patience while cut off", lost)
+        for worker in lost:
+            self.taken_back[worker.wid] += worker.batches
+        return lost
+
+    # After every event.
+
+    def look(self) -> None:
+        """Check where all batches are."""
+        dispatch, members = self._dispatch, self._dispatch._roster._members
+        places: list[Key] = []
+        for queue in dispatch._backlog._queues.values():
+            for batch in (*queue.chunks, *queue.back.values()):
+                places += _keys_of(batch)
+        held: dict[str, set[bytes]] = {wid: set() for wid in members}
+        for ticket in dispatch._tickets._open.values():
+            if ticket.holder is not None:
+                places += _keys_of(ticket.batch)
+                held.setdefault(ticket.holder, set()).add(ticket.batch.id)
+        require(len(places) == len(set(places)), "nothing is lost", "a row is in two places")
+        require(
+            set(places) == self.outstanding, "nothing is lost", self.outstanding.symmetric_difference(places)
+        )
+        for wid, batches in held.items():
+            known = set(members[wid].batches) if wid in members else set()
+            require(
+                batches == known, "nothing is lost", wid, "is leased", batches, "and known to hold", known
+            )
+
+    def look_at_bounds(self) -> None:
+        """Check credit, and how much is remembered."""
+        dispatch = self._dispatch
+        for wid, member in dispatch._roster._members.items():
+            require(len(member.batches) <= CREDIT, "bounded work", wid, len(member.batches))
+            require(len(member.scenes) <= roster.SCENES, "bounded memory", "scenes")
+        require(len(dispatch._tickets._open) <= len(self.outstanding), "bounded memory", "open tickets")
+        require(len(dispatch._tickets._settled) <= tickets.REMEMBERED, "bounded memory", "settled tickets")
+        require(len(dispatch._roster.patience._turns) <= pace._TURNS, "bounded memory", "turns")
+        open_runs = set(self._host.lanes.open)
+        require(set(dispatch._backlog._queues) <= open_runs, "bounded memory", "queues of finished runs")
+
+    def look_at_members(self, living: set[str]) -> None:
+        """Check that nobody is remembered who is gone."""
+        gone = set(self._dispatch._roster._members) - living
+        require(not gone, "bounded memory", "workers that are gone:", gone)
+        gone = self._host.turn._alive - living
+        require(not gone, "bounded memory", "tokens that are gone:", gone)
+
+
+class Watch:
+    """Watches a whole stage."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._turns: dict[str, TurnWatch] = {}
+        self._checked: dict[str, int] = {}
+        """Stretches on the disk that were compared, by run."""
+        self._pushed: dict[Lane, int] = {}
+        self._epochs: set[int] = set()
+        self._rows = 0
+        """Rows on the disk."""
+        self._rows_at_progress = 0
+        self._progress = 0.0
+        stage.watch = self
+
+    def began(self, host: Coordinator) -> None:
+        """Hear that a turn begins."""
+        epoch = host.turn.epoch
+        if not self._stage.disk.was_restored:
+            require(epoch not in self._epochs, "epochs rise", f"{epoch} is used twice")
+        self._epochs.add(epoch)
+        self._turns[host.name] = TurnWatch(host)
+
+    def reported(self, report: Recorded) -> None:
+        """Hear what a recorder reports."""
+        durable = self._stage.disk.counts().get(report.run, 0)
+        require(report.durable <= durable, "acknowledged when durable", report.durable, "of", durable)
+
+    def look(self) -> None:
+        """Check everything that the last event touched."""
+        for process in dict.fromkeys(self._stage.world.touched):
+            match process:
+                case Coordinator():
+                    self._stage.is_done |= process.is_done
+                    if not process.is_over:
+                        self._look_at_coordinator(process)
+                case Recorder():
+                    self._look_at_disk()
+                    self._rows = sum(self._stage.disk.counts().values())
+                    self._look_at_recorder(process)
+                case Worker(is_over=False):
+                    self._look_at_worker(process)
+        self._look_at_progress()
+
+    def _look_at_disk(self) -> None:
+        size, disk = SHAPE.dtype.itemsize, self._stage.disk
+        for run, paper in disk.papers.items():
+            done = min(self._checked.get(run, 0), len(paper.stretches))
+            for place in range(done, len(paper.stretches)):
+                stretch = paper.stretches[place]
+                before = paper.stretches[place - 1].stop if place else 0
+                require(stretch.first == before, "true journal", f"{run}: {stretch.first} behind {before}")
+                expected = self._stage.journals[run][stretch.first * size : stretch.stop * size]
+                require(
+                    stretch.rows.tobytes() == expected, "true journal", f"{run}: rows from {stretch.first}"
+                )
+                if not disk.was_restored:
+                    lower = place and paper.epochs[place] < paper.epochs[place - 1]
+                    require(not lower, "epochs rise", paper.epochs[place - 1 : place + 1])
+                    require(
+                        paper.epochs[place] <= disk.epoch, "epochs rise", paper.epochs[place], "is not stored"
+                    )
+            self._checked[run] = len(paper.stretches)
+
+    def _look_at_coordinator(self, coordinator: Coordinator) -> None:
+        for lane in coordinator.lanes:
+            self._look_at_lane(lane)
+        watch = self._turns.get(coordinator.name)
+        if watch is None:
+            return
+        watch.look()
+        watch.look_at_bounds()
+        if self._stage.calm_seconds > SETTLED_DOWN and coordinator.is_running:
+            watch.look_at_members({worker.wid for worker in self._stage.of(Worker)})
+
+    def _look_at_lane(self, lane: Lane) -> None:
+        """Check what the outbox keeps."""
+        assert isinstance(lane.record, RecorderLink)
+        box, plan, size = lane.record._outbox, self._stage.plans[lane.run], SHAPE.dtype.itemsize
+        most = plan.in_flight * plan.population * (1 + plan.trials)
+        require(box.unconfirmed <= outbox.BOUND + most, "bounded memory", "outbox:", box.unconfirmed)
+        require(
+            len(lane.pipeline._reasons) <= most, "bounded memory", "reasons:", len(lane.pipeline._reasons)
+        )
+        durable = self._stage.disk.papers[lane.run].count
+        if not self._stage.disk.was_restored:
+            kept = durable if not box._kept else box._kept[0].first
+            require(
+                kept <= durable, "recorded before forgotten", f"{kept} is forgotten, {durable} are durable"
+            )
+        _look_at_kept(box)
+        for stretch in box._kept if self._pushed.get(lane) != box._end else ():
+            expected = self._stage.journals[lane.run][stretch.first * size : stretch.stop * size]
+            require(stretch.rows.tobytes() == expected, "told in order", f"{lane.run}: from {stretch.first}")
+        self._pushed[lane] = box._end
+
+    def _look_at_recorder(self, recorder: Recorder) -> None:
+        for ledger in recorder.books._ledgers.values() if recorder.books else ():
+            waiting = ledger.intake.expected - ledger.intake.durable
+            require(waiting <= intake.CAPACITY, "bounded memory", "intake:", waiting)
+        if recorder.scribe is not None:
+            reports = recorder.scribe._reports
+            require(set(reports._due) <= set(self._stage.plans), "bounded memory", "reports")
+
+    def _look_at_worker(self, worker: Worker) -> None:
+        desk = worker.desk
+        if desk is None:
+            return
+        held = len(desk.held)
+        if held > CREDIT and not self._stage.is_lossy:
+            unknown = sum(watch.taken_back[worker.wid] for watch in self._turns.values())
+            require(held <= CREDIT + unknown, "bounded work", worker.name, f"holds {held}")
+        known = {task.work.batch for task in worker.workshop.tasks} | set(desk.held)
+        require(desk._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")
+
+    def _look_at_progress(self) -> None:
+        stage, now = self._stage, self._stage.world.now
+        if self._rows != self._rows_at_progress or not stage.is_calm:
+            self._rows_at_progress, self._progress = self._rows, now
+        patience = LOSSY_PATIENCE if stage.is_lossy else PATIENCE
+        require(now - self._progress < patience, "progress", f"{self._rows} rows since {self._progress:.1f}")
+
+
+def _look_at_kept(box: Outbox) -> None:
+    """Check that the outbox keeps everything behind what is confirmed, without a gap."""
+    stop = box._kept[0].first if box._kept else box._end
+    require(stop <= box.confirmed or not box.unconfirmed, "recorded before forgotten", stop, box.confirmed)
+    for stretch in box._kept:
+        require(stretch.first == stop, "recorded before forgotten", "a gap at", stop)
+        stop = stretch.stop
+    require(stop == box._end, "recorded before forgotten", "the end is missing:", stop, box._end)
+
+
+def _keys_of(batch: Batch) -> Iterable[Key]:
+    return _keys(batch.run, batch.generation, batch.indices, batch.trials)
+
+
+def _keys(run: str, generation: int, indices: np.ndarray, trials: np.ndarray) -> list[Key]:
+    return [
+        (run, generation, index, trial)
+        for index, trial in zip(indices.tolist(), trials.tolist(), strict=True)
+    ]
