@@ -265,3 +265,13 @@ def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office):
     worker.bus.mend()
     office.wait(lambda: office.results, "a result")
     assert office.joins[-1].held == [work(1).batch]
+
+
+def test_a_scene_that_ends_every_simulator_is_tried_three_times_and_not_again(hire, open_office):
+    office = open_office(scene=b"abort")
+    worker = hire()
+    office.give(*(work(batch, n=2) for batch in range(6)))
+    office.wait(lambda: len(office.results) == 6, "six results")
+    assert all(len(result.failures) == 2 for result in office.results)
+    assert office.results[-1].failures[0].reason == "its scene ends every simulator"
+    assert len(worker.simulators) <= 4

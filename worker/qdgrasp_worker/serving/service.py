@@ -205,6 +205,10 @@ class WorkerService:
         """Let the simulator have what it has room for."""
         while self._workshop.has_room and (task := self._next()) is not None:
             scene = task.work.scene
+            if self._workshop.is_fatal(scene):
+                task.fail("its scene ends every simulator")
+                self._settle(Outcome(done=[task]), now)
+                continue
             bundle = None if self._workshop.has_scene(scene) else self._scenes.take(scene)
             self._workshop.put(task, bundle, now)
 

@@ -1,6 +1,7 @@
 """The workshop: the batches at the simulator, and a simulator for them, whatever ends the one before."""
 
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import chain, repeat
@@ -19,8 +20,10 @@ log = structlog.get_logger()
 PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
 """Seconds before the next simulator is started, by how many ended since a row was evaluated; then 8."""
 LAST_PAUSE = 8.0
-ROOM = 2
+ROOM = 1.4
 """So many times the memory that a simulator may keep it may ask for within a batch."""
+STRIKES = 3
+"""A scene that ended so many simulators while it was loaded is not tried again."""
 CHILD = [sys.executable, "-m", "qdgrasp_worker.serving.child"]
 
 
@@ -67,6 +70,7 @@ class Workshop:
         self._memory = memory
         self._docket = Docket()
         self._scenes: set[str] = set()
+        self._fatal: Counter[str] = Counter()
         self._pauses = pauses()
         self._is_retiring = False
         self._last_words = ""
@@ -82,7 +86,7 @@ class Workshop:
     @classmethod
     def open(cls, hear: Callable[[News], None], row_seconds: float, memory: int, nice: int) -> "Workshop":
         """A workshop with simulators of its own, the first of which starts now."""
-        settings = Settings(row_seconds=row_seconds, memory=ROOM * memory, nice=nice)
+        settings = Settings(row_seconds=row_seconds, memory=round(ROOM * memory), nice=nice)
         return cls(lambda: Simulator(CHILD, settings, hear), row_seconds=row_seconds, memory=memory)
 
     def __enter__(self) -> "Workshop":
@@ -116,6 +120,10 @@ class Workshop:
     def has_scene(self, digest: str) -> bool:
         """Whether the simulator was given a scene."""
         return digest in self._scenes
+
+    def is_fatal(self, digest: str) -> bool:
+        """Whether a scene ended so many simulators while they loaded it that it is not tried again."""
+        return self._fatal[digest] >= STRIKES
 
     def put(self, task: Task, bundle: bytes | None, now: float) -> None:
         """Let the simulator evaluate a batch, with its scene unless it has that."""
@@ -172,6 +180,8 @@ class Workshop:
         self._close(now + next(self._pauses))
         if reason is None:
             return Outcome(lost=self._docket.lose())
+        if self.head is not None and self.head.is_loading:
+            self._fatal[self.head.work.scene] += 1
         done = self._docket.stumble(reason)
         return Outcome(done=[done] if done else [])
 
