@@ -116,6 +116,10 @@ class Dispatch:
         """Hear that a worker's token has vanished."""
         self._roster.gone(wid, now)
 
+    def expect(self, wid: str, now: float) -> None:
+        """Hear that the token of a worker that joined is not there yet, or vanished before it was heard."""
+        self._roster.expect(wid, now)
+
     def back(self, wid: str, now: float) -> None:
         """Hear that a worker's token is there (again)."""
         self._roster.back(wid)

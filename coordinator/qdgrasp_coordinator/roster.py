@@ -14,6 +14,8 @@ from qdgrasp_coordinator.pace import Patience
 
 GRACE = 1.0
 """Seconds between the loss of a worker's token and the end of its leases."""
+LATE = 30.0
+"""Seconds by which a worker's token may come later than its question to join."""
 SCENES = 8
 """Scenes that a worker keeps open, least recently used first out."""
 
@@ -178,6 +180,10 @@ class Roster:
         if (member := self._members.get(wid)) is not None and member.gone_at is None:
             member.gone_at = now
             self._note(member)
+
+    def expect(self, wid: str, now: float) -> None:
+        """Wait for the token of a worker that has just joined: it is late, or the worker is gone."""
+        self.gone(wid, now + LATE - GRACE)
 
     def back(self, wid: str) -> None:
         """Hear that a worker's token is there."""

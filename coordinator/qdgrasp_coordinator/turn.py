@@ -150,8 +150,8 @@ class Turn:
         for lane in self._lanes if not known else ():
             lane.record.set_platform(self._platform)
         drop = self.dispatch.join(join.wid, join.number, join.credit, join.held, now)
-        if join.wid not in self._alive:  # its token is late, or vanished before its question came
-            self.dispatch.gone(join.wid, now)
+        if join.wid not in self._alive:
+            self.dispatch.expect(join.wid, now)
         self._joins[join.wid] = join
         if self.dispatch.is_drained(join.wid):
             self._put(self._keys.ctl(join.wid), Control(epoch=self.epoch, drain=True), Channel.CONTROL)
