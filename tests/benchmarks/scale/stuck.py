@@ -1,4 +1,4 @@
-"""Somebody subscribes to `qdgrasp/**` and never reads: what that costs the coordinator, in alternated pairs."""
+"""Somebody subscribes to `qdgrasp/**` and never reads: what that costs the coordinator, pair by pair."""
 
 import multiprocessing
 import time
@@ -56,7 +56,7 @@ class Stretch:
 
 
 class Turns(Watch):
-    """Measures pairs of windows, with and without a stuck subscriber; each comes first in every other pair."""
+    """Measures pairs of windows, with and without a stuck subscriber; each is first in every other pair."""
 
     def __init__(self, crew: Ready, runs: list[Assignment], seconds: float, endpoint: str) -> None:
         super().__init__(crew, runs, WARM_UP, seconds)
@@ -152,20 +152,12 @@ def measure(seconds: float) -> Iterator[Figure]:
     put = [beside.p99 / alone.p99 for alone, beside in turns.pairs]
     longest = max(beside.longest for _, beside in turns.pairs)
     usual = median(alone.p99 for alone, _ in turns.pairs)
-    yield Figure(
-        "CPU of a batch beside a stuck subscriber", median(cpu), "times", most=MOST_CPU, remark=_words(cpu)
-    )
-    yield Figure(
-        "p99 of a put beside it",
-        median(put),
-        "times",
-        most=MOST_PUT,
-        remark=f"{_words(put)}; alone {usual:.0f} us",
-    )
+    yield Figure("CPU of a batch beside it", median(cpu), "times", most=MOST_CPU, remark=_words(cpu))
+    remark = f"{_words(put)}; alone {usual:.0f} us"
+    yield Figure("p99 of a put beside it", median(put), "times", most=MOST_PUT, remark=remark)
     yield Figure("longest put beside it", longest, "s", most=MOST_WAIT)
-    yield Figure(
-        "lost on the way to it", median(turns.lost), "messages", least=1, remark=f"of {FLOOD}: it is stuck"
-    )
+    remark = f"of {FLOOD}: it is stuck"
+    yield Figure("lost on the way to it", median(turns.lost), "messages", least=1, remark=remark)
 
 
 def _words(ratios: list[float]) -> str:
