@@ -83,6 +83,8 @@ class Tally:
         self._trials_follow = False
         self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
+        self.finished = self._ending()
+        """Why the run is over, in words; None while it is not."""
 
     def count(self, rows: Rows) -> None:
         """Count the next rows."""
@@ -94,6 +96,7 @@ class Tally:
         self._trials_follow = not is_nominal[-1]
         self._count_nominal(rows if is_nominal.all() else taken(rows, is_nominal))
         self.trials = self.rows - sum(self._outcomes)
+        self.finished = self._ending()
 
     def _count_nominal(self, rows: Rows) -> None:
         if self._goals.no_new_cell is not None and len(rows):
@@ -115,6 +118,7 @@ class Tally:
         self._barren += 1
         if self.evaluations > self._before:
             self._barren, self._before, self._fruitful = 0, self.evaluations, self._nominal
+        self.finished = self._ending()
 
     @property
     def left(self) -> int:
@@ -200,9 +204,7 @@ class Tally:
                 f"at least {self._most_stale + 1}: so long a stretch without a new cell is recorded",
             )
 
-    @property
-    def finished(self) -> str | None:
-        """Why the run is over, in words; None while it is not."""
+    def _ending(self) -> str | None:
         if self.left <= 0 and not self._owed:
             return f"the budget of {self.budget} evaluations is spent"
         if self._goal is not None and not self._owed:
