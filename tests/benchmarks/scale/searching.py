@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from tests.benchmarks.scale.dispatching import WARM_UP, WORKERS, spec
+from tests.benchmarks.scale.dispatching import BATCH, WARM_UP, WORKERS, spec
 from tests.benchmarks.scale.figures import Figure
 from tests.benchmarks.scale.prepared import SHAPE
 from tests.benchmarks.scale.rig import JOB, Watch, assignment, coordinate, router
@@ -16,8 +16,8 @@ from qdgrasp_coordinator.search import Search, method
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 
-METHODS = {"contact_me_scs": (500, 50, 4.0), "cma_mae": (540, 54, 30.0), "contact_rand": (500, 50, None)}
-"""Genomes in a generation and in a batch, and the most that one may cost [us]."""
+METHODS = {"contact_me_scs": (500, 4.0), "cma_mae": (540, 30.0), "contact_rand": (500, None)}
+"""Genomes in a generation, and the most that one may cost [us]."""
 
 
 class Share:
@@ -70,13 +70,13 @@ def _parts_of_ribs(search: Any) -> list[tuple[Any, tuple[str, ...]]]:
 
 
 def measure(seconds: float) -> Iterator[Figure]:
-    for name, (population, batch, most) in METHODS.items():
+    for name, (population, most) in METHODS.items():
         asked = spec(name, population)
         search = Watched(method(name).build(asked, plain(SHAPE.genes)))
         runs = [assignment("run", asked, search)]
         with router() as (endpoint, _), crowds([Crowd(endpoint, JOB, WORKERS)]) as crew:
             watch = Watch(crew, runs, WARM_UP, seconds)
-            coordinate(endpoint, runs, lambda _: lambda run: Unkept(run.shape), watch, batch)
+            coordinate(endpoint, runs, lambda _: lambda run: Unkept(run.shape), watch, BATCH)
         cells = runs[0].pipeline.tally.cells
         remark = f"population {population}, {cells:,} cells with a success at the end; {search.remark}"
         yield Figure(f"CPU of a genome, {name}", watch.window.microseconds, "us", most=most, remark=remark)
