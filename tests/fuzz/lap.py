@@ -75,12 +75,13 @@ def corpus() -> dict[str, list[bytes]]:
 def run(messages: int, seed: int) -> Lap:
     """Give so many changed messages away."""
     known, start = corpus(), seeds()
-    pool = {kind: [start[kind], *known[kind]] for kind in CONSUMERS}
-    mutator = Mutator(seed, [payload for payloads in pool.values() for payload in payloads])
-    kinds, lap, early = list(CONSUMERS), Lap(), 0
+    whole = [*start.values(), *(payload for payloads in known.values() for payload in payloads)]
+    mutator, lap, early = Mutator(seed, whole), Lap(), 0
+    kinds = list(CONSUMERS)
     for number in range(messages):
         kind = mutator.choose(kinds)
-        payload = mutator(mutator.choose(pool[kind]))
+        begun = mutator.choose([start[kind]] * 3 + [mutator.choose(known[kind])])
+        payload = mutator(begun)
         lap.give(kind if number % round(1 / ASTRAY) else mutator.choose(kinds), payload)
         if number == messages // 10:
             early = memory()
