@@ -2,75 +2,17 @@
 
 import os
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from queue import SimpleQueue
 
 import pytest
 from tests.worker.serving import stand_in
 from tests.worker.serving.batches import work
-from tests.worker.serving.office import PATIENCE, Office
+from tests.worker.serving.hired import GRACE, Hired
+from tests.worker.serving.office import Office
 
-from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.local_bus import LocalNetwork
-from qdgrasp_worker.serving.bundles import Bundles
-from qdgrasp_worker.serving.events import Inbox
-from qdgrasp_worker.serving.frames import Settings
-from qdgrasp_worker.serving.memberships import RefusedByJob
-from qdgrasp_worker.serving.service import WorkerService
-from qdgrasp_worker.serving.simulator import Simulator
-from qdgrasp_worker.serving.workshop import Workshop
-
-GRACE = 20.0
-"""Long: what is finished within it is not a matter of how busy this machine is."""
-
-
-class Hired:
-    """A worker in a thread of its own."""
-
-    def __init__(self, network: LocalNetwork, job: str | None = None, grace: float = GRACE) -> None:
-        self.bus = network.session()
-        self.stop = Stop()
-        self.simulators: list[Simulator] = []
-        self.error: Exception | None = None
-        self._inbox: Inbox = SimpleQueue()
-        self._job = job
-        self._grace = grace
-        self.thread = threading.Thread(target=self._work, daemon=True)
-        self.thread.start()
-
-    def leave(self, number: int = signal.SIGTERM) -> None:
-        """Ask it to stop."""
-        self.stop.set(number)
-
-    def ended(self) -> bool:
-        """Wait for its end."""
-        self.thread.join(PATIENCE)
-        return not self.thread.is_alive()
-
-    def _hire(self) -> Simulator:
-        settings = Settings(row_seconds=PATIENCE, memory=900_000_000, nice=0)
-        self.simulators.append(Simulator(stand_in.COMMAND, settings, self._inbox.put))
-        return self.simulators[-1]
-
-    def _work(self) -> None:
-        workshop = Workshop(self._hire, row_seconds=PATIENCE, memory=900_000_000)
-        with workshop, self.bus:
-            service = WorkerService(
-                self.bus,
-                self.stop,
-                workshop,
-                self._inbox,
-                bundles=Bundles(None),
-                job=self._job,
-                grace=self._grace,
-            )
-            try:
-                service.run()
-            except RefusedByJob as error:
-                self.error = error
 
 
 @pytest.fixture
@@ -83,7 +25,7 @@ def hire(network: LocalNetwork) -> Iterator[Callable[..., Hired]]:
     hired: list[Hired] = []
 
     def hire(job: str | None = None, grace: float = GRACE) -> Hired:
-        hired.append(Hired(network, job, grace))
+        hired.append(Hired(network.session(), job, grace))
         return hired[-1]
 
     yield hire

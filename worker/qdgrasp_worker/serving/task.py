@@ -69,7 +69,7 @@ class Task:
         """
         if self.is_loading:
             self.fail(f"{reason} while it loaded the scene")
-        elif self.is_careful:
+        elif self.is_careful or self.done == self.work.n - 1:
             self.add(Part(n=1, failures=[Failure(row=0, reason=short(reason))]))
         self.is_careful = True
 

@@ -18,8 +18,9 @@ from qdgrasp_worker.serving.task import Task
 log = structlog.get_logger()
 
 PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
-"""Seconds before the next simulator is started, by how many ended since a row was evaluated; then 8."""
+"""Seconds before the next simulator, by how many ended of nothing in the batch since a row was evaluated."""
 LAST_PAUSE = 8.0
+"""Seconds before each one after those."""
 ROOM = 1.4
 """So many times the memory that a simulator may keep it may ask for within a batch."""
 STRIKES = 3
@@ -177,7 +178,8 @@ class Workshop:
         if self.platform is None and reason:
             raise NoSimulator(reason)
         log.warning("the simulator ended; another one is started", reason=reason or "it was killed")
-        self._close(now + next(self._pauses))
+        is_of_a_row = reason is not None and self.is_ready
+        self._close(now if is_of_a_row else now + next(self._pauses))
         if reason is None:
             return Outcome(lost=self._docket.lose())
         if self.head is not None and self.head.is_loading:

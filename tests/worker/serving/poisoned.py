@@ -1,0 +1,47 @@
+"""A simulator that evaluates the rows of plans, and that some of them end: `python -m ...poisoned`."""
+
+import os
+import sys
+
+import numpy as np
+from tests.coordinator.plans import SHAPE, evaluate
+
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_worker.evaluate import Evaluation
+from qdgrasp_worker.serving.child import main
+
+COMMAND = [sys.executable, "-m", "tests.worker.serving.poisoned"]
+PLATFORM = {"simulator": "a formula"}
+
+
+def fail() -> None:
+    raise RuntimeError("poison")
+
+
+ENDS = (os.abort, fail, lambda: os._exit(1))
+
+
+class Formula:
+    """A pure function of genome and trial; on poison the process ends, one way or the other."""
+
+    def __init__(self, bundle: bytes) -> None:
+        """Every scene is alike."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def shape(self, prior: str) -> Shape:
+        return SHAPE
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        rows = SHAPE.empty(len(genomes))
+        rows["genome"], rows["trial"] = genomes, trials
+        found = evaluate(rows)
+        for row in found[found["outcome"] == Outcome.ERROR]:
+            ENDS[row["genome"].tobytes()[0] % len(ENDS)]()
+        return Evaluation(found, [])
+
+
+if __name__ == "__main__":
+    main(load=Formula, probe=lambda: PLATFORM)
