@@ -11,12 +11,13 @@ from math import inf
 from typing import Any
 from unittest.mock import patch
 
+import msgspec
 from tests.simulation.play import play
 
 from qdgrasp_coordinator import dispatch as dispatching
-from qdgrasp_coordinator import tickets as ticketing
 from qdgrasp_coordinator.backlog import Backlog
 from qdgrasp_coordinator.batch import Settlement
+from qdgrasp_coordinator.books import Books
 from qdgrasp_coordinator.dispatch import Dispatch
 from qdgrasp_coordinator.generation import Slot
 from qdgrasp_coordinator.holding import Holding
@@ -24,12 +25,12 @@ from qdgrasp_coordinator.intake import Intake, Verdict
 from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.reports import Reports
-from qdgrasp_coordinator.roster import Member, Roster
+from qdgrasp_coordinator.roster import Member, Overdue, Roster
 from qdgrasp_coordinator.scribe import Scribe
 from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_coordinator.tickets import Tickets
+from qdgrasp_coordinator.tickets import Stub, Tickets
 from qdgrasp_coordinator.turn import Turn
-from qdgrasp_protocol.messages import Recorded
+from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.serving.appointment import Appointment
 from qdgrasp_worker.serving.desk import Desk
 
@@ -76,33 +77,37 @@ def _accept_any_join(desk: Desk, work: Any) -> bool:
     return True
 
 
-def _accept_any_epoch(desk: Desk, work: Any) -> bool:
-    if work.join != desk.number:
-        return False
-    desk._held[work.batch] = work
-    return True
+def _keep_held(joined: Any) -> Any:
+    def kept(desk: Desk, answer: Any) -> bool:
+        held = dict(desk._held)
+        is_current: bool = joined(desk, answer)
+        desk._held.update(held)
+        return is_current
+
+    return kept
+
+
+def _keep_settled(close: Any) -> Any:
+    def closed(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
+        close(tickets, ticket, winner)
+        vars(tickets).setdefault("kept", {})[ticket.batch.id] = ticket
+
+    return closed
 
 
 def _settle_again(judge: Any) -> Any:
-    def judged(tickets: Tickets, wid: str, result: Any) -> Settlement:
-        kind = judge(tickets, wid, result)
-        if kind is Settlement.DUPLICATE or kind is Settlement.LATE:
-            tickets._open[result.batch] = tickets._settled.pop(result.batch)
-            return Settlement.FRESH
-        return kind
+    def judged(tickets: Any, wid: str, result: Any) -> Settlement:
+        kind: Settlement = judge(tickets, wid, result)
+        if kind not in (Settlement.DUPLICATE, Settlement.LATE):
+            return kind
+        tickets._open[result.batch] = tickets.kept[result.batch]
+        return Settlement.FRESH
 
     return judged
 
 
-def _remember_rows(close: Any) -> Any:
-    """Settled tickets keep their rows, so that they can be settled again."""
-
-    def closed(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
-        batch = ticket.batch
-        close(tickets, ticket, winner)
-        tickets._settled[batch.id].batch = batch
-
-    return closed
+def _close_and_keep(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
+    tickets._settled[ticket.batch.id] = Stub(tickets._open.pop(ticket.batch.id).leased, winner)
 
 
 def _accept_anybody(judge: Any) -> Any:
@@ -131,9 +136,14 @@ def _join_without_requeue(join: Any) -> Any:
     return joined
 
 
-def _never_give_up(member: Member) -> str:
-    member.is_stuck = True
-    return "kept"
+def _never_forget(give_up: Any) -> Any:
+    def given_up(roster: Roster, member: Member) -> Overdue:
+        gone, member.gone_at = member.gone_at, None
+        overdue: Overdue = give_up(roster, member)
+        member.gone_at = gone
+        return overdue
+
+    return given_up
 
 
 def _withdraw_half(withdraw: Any) -> Any:
@@ -171,6 +181,10 @@ def _report_expected(report: Any) -> Any:
     return reported
 
 
+def _take_in_silence(scribe: Scribe, message: Recordable, now: float) -> None:
+    scribe._books.take(message, now)
+
+
 def _forget_sent(due: Any) -> Any:
     def sent(outbox: Outbox, now: float) -> list[Stretch]:
         stretches: list[Stretch] = due(outbox, now)
@@ -190,13 +204,12 @@ def _number_batches(push: Any) -> Any:
     return pushed
 
 
-def _take_any_epoch(offer: Any) -> Any:
-    def offered(intake: Intake, epoch: int, stretch: Stretch, now: float) -> Verdict:
-        intake.epoch = epoch
-        verdict: Verdict = offer(intake, epoch, stretch, now)
+def _take_any_epoch(take: Any) -> Any:
+    def taken(books: Books, message: Recordable, now: float) -> Verdict:
+        verdict: Verdict = take(books, msgspec.structs.replace(message, epoch=books.epoch), now)
         return verdict
 
-    return offered
+    return taken
 
 
 def _take_past_gaps(offer: Any) -> Any:
@@ -214,7 +227,7 @@ MUTATIONS = [
     Mutation(
         "settle twice",
         "5",
-        lambda: [method(Tickets, "close", _remember_rows), method(Tickets, "judge", _settle_again)],
+        lambda: [method(Tickets, "close", _keep_settled), method(Tickets, "judge", _settle_again)],
     ),
     Mutation(
         "take a result from a worker that was not leased it",
@@ -224,7 +237,7 @@ MUTATIONS = [
     Mutation("acknowledge before durable", "8", lambda: [method(Scribe, "_report", _report_expected)]),
     Mutation("forget before durable", "8", lambda: [method(Outbox, "due", _forget_sent)]),
     Mutation("tell out of order", "7", lambda: [patch.object(Slot, "arrived", _arrived_with_gaps)]),
-    Mutation("take rows of an older epoch", "8", lambda: [method(Intake, "offer", _take_any_epoch)]),
+    Mutation("take rows of an older epoch", "8", lambda: [method(Books, "take", _take_any_epoch)]),
     Mutation("take rows past a gap", "8", lambda: [method(Intake, "offer", _take_past_gaps)]),
     Mutation("no lease ever passes", "4", lambda: [patch.object(Member, "deadline", lambda *_: inf)]),
     Mutation(
@@ -244,30 +257,29 @@ MUTATIONS = [
     ),
     Mutation("a join queues nothing again", "4", lambda: [method(Dispatch, "join", _join_without_requeue)]),
     Mutation("ignore credit", "1", lambda: [value(Member, "has_credit", lambda m: len(m.batches) < 9)]),
-    Mutation("give no credit back", "1", lambda: [patch.object(Dispatch, "_release", lambda *_: None)]),
+    Mutation("give no credit back", "1", lambda: [patch.object(Roster, "release", lambda *_: None)]),
     Mutation("replay skips a row", "9", lambda: [method(Pipeline, "replay", _replay_without_last)]),
     Mutation("number batches, not rows", "8", lambda: [method(Outbox, "push", _number_batches)]),
     Mutation("give up while cut off", "4", lambda: [patch.object(Roster, "link", lambda *_: None)]),
     Mutation("send rows once", "8", lambda: [patch.object(Outbox, "_resend", lambda *_: None)]),
     Mutation("ask without end", "8", lambda: [value(Outbox, "is_full", lambda _: False)]),
-    Mutation("report once", "8", lambda: [patch.object(Reports, "heard", lambda *_: None)]),
     Mutation(
-        "never forget a worker",
-        "4",
-        lambda: [patch.object(Roster, "_give_up", lambda _, m: _never_give_up(m))],
+        "report commits only, once",
+        "8",
+        lambda: [
+            patch.object(Reports, "heard", lambda *_: None),
+            patch.object(Scribe, "_take_rows", _take_in_silence),
+        ],
     ),
-    Mutation("remember every batch", "5", lambda: [patch.object(ticketing, "REMEMBERED", 10**9)]),
+    Mutation("never forget a worker", "4", lambda: [method(Roster, "_give_up", _never_forget)]),
+    Mutation("remember every batch", "5", lambda: [patch.object(Tickets, "close", _close_and_keep)]),
     Mutation("poison is tried for ever", "6", lambda: [patch.object(dispatching, "STRIKES", 10**9)]),
     Mutation(
         "a finished run stays in the backlog", "7", lambda: [method(Dispatch, "withdraw", _withdraw_half)]
     ),
     Mutation("the epoch is not stored", "8", lambda: [patch.object(Holding, "store_epoch", lambda _: None)]),
     Mutation("pass over a higher epoch", "8", lambda: [patch.object(Turn, "_take_token", lambda *_: None)]),
-    Mutation(
-        "keep work of an older epoch",
-        "3",
-        lambda: [patch.object(Desk, "accept", _accept_any_epoch)],
-    ),
+    Mutation("keep work of an older epoch", "3", lambda: [method(Desk, "joined", _keep_held)]),
     Mutation("ask once to join", "2", lambda: [patch.object(Appointment, "join_later", lambda *_: None)]),
 ]
 

@@ -142,7 +142,7 @@ class Network:
         """Hear of tokens, those alive first."""
         session.watched.append(pattern)
         if session.is_up:
-            self._tell(session, self._alive, alive=True)
+            self._tell(session, {key for key in self._alive if any_of(key) == pattern}, alive=True)
 
     # Messages and questions.
 

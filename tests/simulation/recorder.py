@@ -28,6 +28,8 @@ class Recorder(Process):
         What it writes on, when nobody else does.
     latency
         The mean time of a commit [s].
+    opened
+        Told when it keeps the books.
     reports
         Told of each report.
     """
@@ -39,10 +41,12 @@ class Recorder(Process):
         name: str,
         disk: Disk,
         latency: float,
+        opened: Callable[[PaperBooks], None],
         reports: Callable[[Recorded], None],
     ) -> None:
         self._disk = disk
         self._latency = latency
+        self._opened = opened
         self._reports = reports
         self._before: dict[str, int] | None = None
         self.scribe: Scribe | None = None
@@ -55,6 +59,7 @@ class Recorder(Process):
             yield Busy(1.0)
         self._disk.holder = self
         self.books = PaperBooks(self._disk, JOB)
+        self._opened(self.books)
         self.scribe = Scribe(self.books, JOB, FOLDER, PATIENCE, self.now)
         self.network.subscribe(self.session, KEYS.outcome())
         self.network.answer(self.session, KEYS.open)

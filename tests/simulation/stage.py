@@ -125,9 +125,16 @@ class Stage:
     def start_recorder(self) -> None:
         """Start a recorder; while another one holds the folder it waits."""
         name = f"recorder {self._next()}"
-        self.processes.append(
-            Recorder(self.world, self.network, name, self.disk, self.history.latency, self.watch.reported)
+        recorder = Recorder(
+            self.world,
+            self.network,
+            name,
+            self.disk,
+            self.history.latency,
+            opened=self.watch.opened,
+            reports=self.watch.reported,
         )
+        self.processes.append(recorder)
 
     def start_coordinator(self) -> None:
         """Start a coordinator; the router may be in it."""

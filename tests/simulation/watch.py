@@ -17,12 +17,15 @@ from tests.simulation.worker import CREDIT, Worker
 
 from qdgrasp_coordinator import intake, outbox, pace, roster, tickets
 from qdgrasp_coordinator.batch import Batch, Lease, Settled, Settlement
+from qdgrasp_coordinator.books import Books
 from qdgrasp_coordinator.dispatch import Dispatch, Lost
+from qdgrasp_coordinator.intake import Verdict
 from qdgrasp_coordinator.lane import Lane
 from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.record import RecorderLink
-from qdgrasp_protocol.messages import Recorded, Result
+from qdgrasp_protocol.messages import Recordable, Recorded, Result
 from qdgrasp_protocol.rows import Rows
+from qdgrasp_worker.serving.desk import Desk
 
 INVARIANTS = {
     "no machine fails": "no state machine raises what its callers do not expect",
@@ -34,6 +37,7 @@ INVARIANTS = {
     "recorded before forgotten": "the outbox keeps every row that is not on the disk",
     "acknowledged when durable": "no number is reported that is not on the disk",
     "epochs rise": "each turn has an epoch of its own; no rows of a lower one than the last are taken",
+    "fenced": "a worker holds nothing of another epoch, or of an older join that it did not list then",
     "bounded work": "nobody is leased or holds more batches than its credit",
     "bounded memory": "no container grows beyond its stated bound",
     "work is handed out": "no worker with credit waits while a batch does",
@@ -42,7 +46,7 @@ INVARIANTS = {
 }
 PATIENCE, LOSSY_PATIENCE = 150.0, 900.0
 """Seconds of calm in which a row must have been recorded; where messages are lost, leases must pass first."""
-SETTLED_DOWN = 30.0
+SETTLED_DOWN = 45.0
 """Seconds of calm after which only those are remembered who are there."""
 Key = tuple[str, int, int, int]
 """A row: run, generation, index, trial."""
@@ -98,13 +102,17 @@ class TurnWatch:
             require(
                 lease.batch.id not in self._settled, "settled once", "leased again:", lease.batch.id.hex()
             )
+            held = len(self._dispatch._roster._members[lease.wid].batches)
+            require(held <= CREDIT, "bounded work", "worker", lease.wid, "is leased", held)
             self._leased.setdefault(lease.batch.id, set()).add(lease.wid)
             self._host.note(
                 f"leases {lease.batch.id.hex()[-4:]} to worker {int(lease.wid, 16)}, join {lease.join}"
             )
         waits = any(queue for queue in self._dispatch._backlog._queues.values())
-        free = self._dispatch._roster.free().first
-        require(not (waits and free), "work is handed out", free)
+        members = self._dispatch.members
+        is_any_well = any(member.is_well for member in members)
+        free = [member.wid for member in members if member.has_credit and (member.is_well or not is_any_well)]
+        require(not (waits and free), "work is handed out", "nothing is leased to", free)
         return leases
 
     def _settle(self, wid: str, result: Result, rows: Rows, now: float) -> Settled:
@@ -169,8 +177,7 @@ class TurnWatch:
     def look_at_bounds(self) -> None:
         """Check credit, and how much is remembered."""
         dispatch = self._dispatch
-        for wid, member in dispatch._roster._members.items():
-            require(len(member.batches) <= CREDIT, "bounded work", wid, len(member.batches))
+        for member in dispatch.members:
             require(len(member.scenes) <= roster.SCENES, "bounded memory", "scenes")
         require(len(dispatch._tickets._open) <= len(self.outstanding), "bounded memory", "open tickets")
         require(len(dispatch._tickets._settled) <= tickets.REMEMBERED, "bounded memory", "settled tickets")
@@ -196,6 +203,8 @@ class Watch:
         """Stretches on the disk that were compared, by run."""
         self._pushed: dict[Lane, int] = {}
         self._epochs: set[int] = set()
+        self._listed: dict[str, tuple[int, set[bytes]]] = {}
+        """The number of each worker's last join, and what it listed then."""
         self._rows = 0
         """Rows on the disk."""
         self._rows_at_progress = 0
@@ -209,6 +218,18 @@ class Watch:
             require(epoch not in self._epochs, "epochs rise", f"{epoch} is used twice")
         self._epochs.add(epoch)
         self._turns[host.name] = TurnWatch(host)
+
+    def opened(self, books: Books) -> None:
+        """Hear that a recorder keeps the books; watches what it takes."""
+        take = books.take
+
+        def taken(message: Recordable, now: float) -> Verdict:
+            epoch, verdict = books.epoch, take(message, now)
+            is_old = verdict is Verdict.TAKEN and message.epoch < epoch
+            require(not is_old, "epochs rise", f"rows of epoch {message.epoch} are taken in {epoch}")
+            return verdict
+
+        books.take = taken  # type: ignore[method-assign]
 
     def reported(self, report: Recorded) -> None:
         """Hear what a recorder reports."""
@@ -295,12 +316,23 @@ class Watch:
         desk = worker.desk
         if desk is None:
             return
+        self._look_at_fence(worker, desk)
         held = len(desk.held)
         if held > CREDIT and not self._stage.is_lossy:
             unknown = sum(watch.taken_back[worker.wid] for watch in self._turns.values())
             require(held <= CREDIT + unknown, "bounded work", worker.name, f"holds {held}")
         known = {task.work.batch for task in worker.workshop.tasks} | set(desk.held)
         require(desk._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")
+
+    def _look_at_fence(self, worker: Worker, desk: Desk) -> None:
+        number, listed = self._listed.get(worker.wid, (0, set()))
+        if number != desk.number:
+            number, listed = self._listed[worker.wid] = (desk.number, set(desk.held))
+        for batch, work in desk._held.items():
+            is_fenced = work.join == number or batch in listed
+            require(
+                is_fenced, "fenced", worker.name, f"holds work of join {work.join}, has joined {number} times"
+            )
 
     def _look_at_progress(self) -> None:
         stage, now = self._stage, self._stage.world.now
