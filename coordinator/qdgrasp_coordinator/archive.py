@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.cells import cells
+from qdgrasp_coordinator.whole import taken
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
@@ -33,24 +34,13 @@ Box: TypeAlias = tuple[ArrayLike, ArrayLike]
 class Elites:
     """What an archive holds, in the order of its cells."""
 
-    held: Genomes
-    """(n, d): their genomes, in any order."""
-    order: NDArray[np.intp]
-    """(n,): their places in `held`."""
+    cells: NDArray[np.int64]
+    """(n, 3): where they are."""
     successful: NDArray[np.bool_]
     """(n,): which of them are successes."""
 
     def __len__(self) -> int:
-        return len(self.order)
-
-    @property
-    def genomes(self) -> Genomes:
-        """(n, d)."""
-        return self.held[self.order]
-
-    def picked(self, picks: NDArray[np.intp]) -> Genomes:
-        """The genomes of some of them."""
-        return self.held[self.order[picks]]
+        return len(self.cells)
 
 
 class Archive:
@@ -72,7 +62,8 @@ class Archive:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         self._grid = _grid(genes, self._low, self._high)
         self._order = np.zeros(0, dtype=np.intp)  # of what the grid holds, by the index of its cells
-        self._sorted = np.zeros(0, dtype=np.int64)  # these indices
+        self._indices = np.zeros(0, dtype=np.int64)  # of these cells, sorted
+        self._cells = np.zeros((0, 3), dtype=np.int64)  # and where they are
 
     def __len__(self) -> int:
         return len(self._grid)
@@ -86,8 +77,13 @@ class Archive:
     def elites(self) -> Elites:
         """All elites, by the index of their cells: the same archive gives the same order."""
         self._sort()
-        data = self._grid.data(["solution", "objective"])
-        return Elites(data["solution"], self._order, data["objective"][self._order] > FAILED)
+        return Elites(self._cells, self._grid.data("objective")[self._order] > FAILED)
+
+    def genomes(self, cells: NDArray[np.int64]) -> Genomes:
+        """The genomes of the elites in some cells (n, 3), each of which holds one: (n, d)."""
+        _, data = self._grid.retrieve(cells)
+        found: Genomes = data["solution"]
+        return found
 
     def _sort(self) -> None:
         """Sort cells in that hold their first elite; the grid has them behind those before."""
@@ -95,18 +91,20 @@ class Archive:
         if len(self._grid) > known:
             indices = self._grid.data("index")[known:]
             new = np.argsort(indices)
-            places = np.searchsorted(self._sorted, indices[new])
+            places = np.searchsorted(self._indices, indices[new])
+            where = np.stack(np.unravel_index(indices[new], self._grid.dims), axis=1) + self._low
             self._order = np.insert(self._order, places, known + new)
-            self._sorted = np.insert(self._sorted, places, indices[new])
+            self._indices = np.insert(self._indices, places, indices[new])
+            self._cells = np.insert(self._cells, places, where, axis=0)
 
     def insert(self, rows: Rows) -> None:
         """Offer rows, elder ones first; overlaps, dead ends and errors are passed over."""
-        valid = rows[rows["outcome"] >= Outcome.MISSED]
+        valid = taken(rows, rows["outcome"] >= Outcome.MISSED)
         places = cells(valid["descriptor"][:, :3])
         inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
         self.outside += int(np.count_nonzero(~inside))
         if inside.any():
-            kept = valid[inside]
+            kept = taken(valid, inside)
             self._grid.add(kept["genome"], _objectives(kept), places[inside])
 
 
