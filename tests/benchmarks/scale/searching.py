@@ -66,7 +66,7 @@ def _parts_of_ribs(search: Any) -> list[tuple[Any, tuple[str, ...]]]:
     """What of pyribs a search has, and which calls it makes."""
     if hasattr(search, "_emitters"):
         return [(search._archive, ("add",)), *((emitter, ("ask", "tell")) for emitter in search._emitters)]
-    return [(search.archive._grid, ("add", "data"))] if hasattr(search, "archive") else []
+    return [(search.archive._grid, ("add", "data", "retrieve"))] if hasattr(search, "archive") else []
 
 
 def measure(seconds: float) -> Iterator[Figure]:
