@@ -1,5 +1,5 @@
 """`python -m qdgrasp`: the same as the command `qdgrasp`."""
 
-from qdgrasp_coordinator.cli.main import main
+from qdgrasp.entry import qdgrasp
 
-main()
+qdgrasp()

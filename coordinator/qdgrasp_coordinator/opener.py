@@ -18,7 +18,7 @@ from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import Opened
 
 TRY_INTERVAL = 0.1  # seconds between two tries: a recorder does not answer, or a disk is full
-FAREWELL = 2.0  # seconds that the thread may take to notice that it is not needed any more
+FAREWELL = 0.5  # seconds that the thread may take to notice that it is not needed any more
 
 
 @dataclass(frozen=True)

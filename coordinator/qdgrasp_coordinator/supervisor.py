@@ -24,6 +24,7 @@ from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
+GRACE = 1.2  # seconds that they may take to stop; whoever takes longer loses nothing but its time
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Supervisor:
         self._stop.tell(lambda: self._news.put(None))
         with ExitStack() as stack:
             stack.enter_context(self._folder.supervise())
-            crew = stack.enter_context(Crew(self._folder.logs))
+            crew = stack.enter_context(Crew(self._folder.logs, GRACE))
             watch = Watch(crew, self._display, lambda: self._hire_coordinator(crew))
             self._hire_coordinator(crew)
             self._await(lambda: self._folder.endpoint is not None, watch)
@@ -103,6 +104,7 @@ class Supervisor:
             for number in range(self._team.workers):
                 self._hire_worker(crew, near, number)
             stack.enter_context(self._listen(near, stack, watch))
+            stack.callback(crew.bid_leave)  # while the session is being closed
             self._await(lambda: watch.is_done, watch)
 
     def _hire_coordinator(self, crew: Crew) -> None:

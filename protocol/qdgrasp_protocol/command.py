@@ -1,7 +1,10 @@
 """What every command of qdgrasp does alike: one clear sentence and an exit code, never a traceback."""
 
+import os
 import signal
 import sys
+import threading
+import time
 from types import FrameType
 
 import typer
@@ -9,10 +12,14 @@ from typer.exceptions import TyperException
 
 from qdgrasp_protocol.errors import InputError, QdgraspError
 
+PATIENCE = 1.5  # seconds that a command outside of a `lifetime` may take to hear a signal
+
 
 def run_command(app: typer.Typer, name: str) -> None:
     """Run a command line; what goes wrong ends it with a sentence on standard error and an exit code."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminated)
+    _end_by_force_if_need_be()
     try:
         code = app(prog_name=name, standalone_mode=False)
     except QdgraspError as error:
@@ -29,6 +36,25 @@ def run_command(app: typer.Typer, name: str) -> None:
 def _terminated(number: int, _frame: FrameType | None) -> None:
     """End a command that is not in a `lifetime` yet, through its with-blocks."""
     raise SystemExit(128 + number)
+
+
+def _end_by_force_if_need_be() -> None:
+    """End this process some time after a signal: it may be in a call that lets nobody hear one for minutes.
+
+    The kernel's note of a signal comes at once, and to another thread. There are none within a `lifetime`.
+    """
+    end, begin = os.pipe()
+    os.set_blocking(begin, False)
+    signal.set_wakeup_fd(begin, warn_on_full_buffer=False)
+    threading.Thread(target=_wait_for_a_note, args=(end,), name="signals", daemon=True).start()
+
+
+def _wait_for_a_note(end: int) -> None:
+    numbers = {signal.SIGINT, signal.SIGTERM}
+    while (number := os.read(end, 1)[0]) not in numbers:
+        pass
+    time.sleep(PATIENCE)
+    os._exit(128 + number)
 
 
 def _said(name: str, sentence: str, code: int) -> int:

@@ -78,6 +78,7 @@ class Crew:
     def __init__(self, logs: Path | None, grace: float = GRACE) -> None:
         self._logs = logs
         self._grace = grace
+        self._leave_by: float | None = None
         self._members: dict[str, Member] = {}
 
     def hire(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
@@ -138,15 +139,22 @@ class Crew:
         """The process ids of the members that live."""
         return {m.name: m.process.pid for m in self._members.values() if m.process.poll() is None}
 
+    def _alive(self) -> list[subprocess.Popen[bytes]]:
+        return [member.process for member in self._members.values() if member.process.poll() is None]
+
+    def bid_leave(self, number: int = signal.SIGTERM) -> None:
+        """Ask every member to stop, by a signal; the grace begins."""
+        self._leave_by = time.monotonic() + self._grace
+        for process in self._alive():
+            process.send_signal(number)
+
     def dismiss(self, number: int = signal.SIGTERM) -> None:
         """End every member: politely, by a signal, then, after the grace, by force."""
-        alive = [member.process for member in self._members.values() if member.process.poll() is None]
-        for process in alive:
-            process.send_signal(number)
-        deadline = time.monotonic() + self._grace
-        for process in alive:
+        if self._leave_by is None:
+            self.bid_leave(number)
+        for process in self._alive():
             try:
-                process.wait(max(0.0, deadline - time.monotonic()))
+                process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()

@@ -53,6 +53,7 @@ def lifetime(title: str) -> Iterator[Stop]:
     """Name this process for `ps`, and turn SIGINT, SIGTERM and the end of its starter into a `Stop`."""
     setproctitle(title)
     stop = Stop()
+    notes = signal.set_wakeup_fd(-1)  # here signals are heard at once
     before = {number: signal.signal(number, stop.set) for number in (signal.SIGINT, signal.SIGTERM)}
     if os.environ.pop(SUPERVISED, None):
         threading.Thread(target=_outlive_no_starter, name="starter", daemon=True).start()
@@ -61,6 +62,7 @@ def lifetime(title: str) -> Iterator[Stop]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        signal.set_wakeup_fd(notes)
 
 
 def _outlive_no_starter() -> None:

@@ -88,3 +88,11 @@ def test_a_supervised_process_ends_when_its_starter_is_gone():
     process.stdin.close()
     assert process.wait(30) == 128 + signal.SIGTERM
     process.stdout.close()
+
+
+def test_who_is_bidden_to_leave_has_the_grace_from_then_on(tmp_path):
+    with Crew(tmp_path, grace=600) as crew:
+        crew.hire("polite", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
+        crew.bid_leave()
+        crew.process("polite").wait(30)
+    assert crew.process("polite").returncode == -signal.SIGTERM

@@ -18,7 +18,7 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.preparation import full_spec, make_bundle
 from qdgrasp_coordinator.progress import PlainLines
 from qdgrasp_protocol.crew import Crew
-from qdgrasp_protocol.lifetime import Stop, lifetime
+from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -54,10 +54,7 @@ def bench(
     values = {name: value for name, value in given.items() if value is not None}
     specs = [full_spec(values | {"object": name}, "bench") for name in objects or OBJECTS]
     count, here = options.cores() if workers is None else workers, node()
-    with lifetime("qdgrasp bench") as stop:
-        found = [found for spec in specs if (found := _measure(spec, count, seconds, stop))]
-    if stop.is_set:
-        raise typer.Exit(stop.exit_code)
+    found = [_measure(spec, count, seconds) for spec in specs]
     figures = NodeFigures(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         node=here,
@@ -67,16 +64,23 @@ def bench(
     typer.echo(json.dumps(msgspec.to_builtins(figures)) if as_json else figures.table)
 
 
-def _measure(spec: RunSpec, workers: int, seconds: float, stop: Stop) -> Measured | None:
-    """Measure one scene with workers of its own; None where there was a signal to stop."""
-    if stop.is_set:
-        return None
+def _measure(spec: RunSpec, workers: int, seconds: float) -> Measured:
+    """Measure one scene with workers of its own.
+
+    Raises
+    ------
+    Exit
+        There was a signal to stop.
+    """
     lines = PlainLines("bench")
     lines.say(f"building the scene of {spec.gripper} and {spec.object}")
     scene, bundle = make_bundle(spec)
     course = Course(spec, scene, bundle, workers=workers, seconds=seconds, display=lines)
-    with ExitStack() as stack:
+    with lifetime("qdgrasp bench") as stop, ExitStack() as stack:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
         bus, endpoint = ZenohBus.embedded(None)
         stack.enter_context(bus)
-        return course.run(bus, endpoint, stack.enter_context(Crew(logs)), stop)
+        measured = course.run(bus, endpoint, stack.enter_context(Crew(logs)), stop)
+    if measured is None:
+        raise typer.Exit(stop.exit_code)
+    return measured

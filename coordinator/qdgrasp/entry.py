@@ -1,0 +1,44 @@
+"""Where the commands begin: before anything else is loaded, so that a signal ends them without a trace.
+
+Loading takes a part of a second. From then on `run_command` and `lifetime` hear the signals.
+"""
+
+import os
+import signal
+from importlib import import_module
+from types import FrameType
+
+
+def qdgrasp() -> None:
+    """Entry point of `qdgrasp`."""
+    _enter("qdgrasp_coordinator.cli.main")
+
+
+def coordinator() -> None:
+    """Entry point of `qdgrasp-coordinator`."""
+    _enter("qdgrasp_coordinator.cli.coordinator")
+
+
+def recorder() -> None:
+    """Entry point of `qdgrasp-recorder`."""
+    _enter("qdgrasp_coordinator.cli.recorder")
+
+
+def router() -> None:
+    """Entry point of `qdgrasp-router`."""
+    _enter("qdgrasp_coordinator.cli.router")
+
+
+def worker() -> None:
+    """Entry point of `qdgrasp-worker`."""
+    _enter("qdgrasp_worker.cli")
+
+
+def _enter(module: str) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _leave)
+    import_module(module).main()
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    os._exit(128 + number)

@@ -1,0 +1,59 @@
+"""What every command does alike when it is asked to stop."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+DEAF = """
+import ctypes, signal
+import typer
+from qdgrasp_protocol.command import run_command
+app = typer.Typer()
+@app.command()
+def command() -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    print("ready", flush=True)
+    ctypes.CDLL(None).sleep(3600)
+run_command(app, "deaf")
+"""
+LIVING = """
+import time
+import typer
+from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.lifetime import lifetime
+app = typer.Typer()
+@app.command()
+def command() -> None:
+    with lifetime("living") as stop:
+        print("ready", flush=True)
+        while not stop.is_set:
+            time.sleep(0.01)
+        time.sleep(3)
+        print("done", flush=True)
+    raise typer.Exit(stop.exit_code)
+run_command(app, "living")
+"""
+
+
+def signalled(code: str, number: int) -> tuple[int, str, str]:
+    """How a program ends that is sent a signal as soon as it is ready."""
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_in_a_call_that_hears_nothing_is_ended_by_force(number: int) -> None:
+    assert signalled(DEAF, number) == (128 + number, "", "")
+
+
+def test_a_command_that_takes_its_time_to_stop_in_order_is_left_to_it() -> None:
+    assert signalled(LIVING, signal.SIGTERM) == (128 + signal.SIGTERM, "done\n", "")

@@ -1,0 +1,117 @@
+"""Every command stops when it is asked to, whatever it is doing."""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import trimesh
+from tests.endpoints import own_endpoint
+from tests.system.commands import SMALL, Commands, is_alive, processes_of, rows_recorded, wait_for
+from tests.system.test_faults import pids
+
+PROMISED = 2.0
+"""Seconds that a command may take to stop, on a machine that is not busy with something else."""
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+LONG = (*SMALL, "--evaluations", 100_000)
+Beginning = Callable[[Commands], subprocess.Popen[str]]
+
+
+def says(process: subprocess.Popen[str], words: str) -> None:
+    """Wait for a line on standard error."""
+    assert process.stderr is not None
+    while words not in (line := process.stderr.readline()):
+        assert line, f"it ended without saying {words!r}"
+
+
+def working(qdgrasp: Commands) -> subprocess.Popen[str]:
+    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run", "--listen", own_endpoint())
+    wait_for(lambda: rows_recorded(qdgrasp.home / "run") > 0, "rows")
+    return process
+
+
+def frozen(role: str) -> Beginning:
+    """A run of which one process hears nothing any more; where it is the coordinator, the router is away."""
+
+    def begin(qdgrasp: Commands) -> subprocess.Popen[str]:
+        process = working(qdgrasp)
+        for pid in pids(process, role):
+            os.kill(pid, signal.SIGSTOP)
+        return process
+
+    return begin
+
+
+def building(qdgrasp: Commands) -> subprocess.Popen[str]:
+    trimesh.creation.torus(0.03, 0.012, 60, 40).export(qdgrasp.home / "ring.stl")
+    process = qdgrasp.start("run", "--gripper", "panda", "--object", "ring.stl", "--mass", 1, "--out", "run")
+    says(process, "building the scene")
+    return process
+
+
+def campaigning(qdgrasp: Commands) -> subprocess.Popen[str]:
+    trimesh.creation.torus(0.03, 0.012, 60, 40).export(qdgrasp.home / "ring.stl")
+    file = qdgrasp.home / "many.toml"
+    file.write_text('[[cross]]\ngripper = "panda"\nobject = "ring.stl"\nmass = 1.0\nseed = [0, 1]\n')
+    process = qdgrasp.start("campaign", file, "--out", "many", "--listen", own_endpoint())
+    says(process, "listening on")
+    return process
+
+
+def seeking(*command: str, module: str = "qdgrasp") -> Beginning:
+    """A command whose router is not there."""
+
+    def begin(qdgrasp: Commands) -> subprocess.Popen[str]:
+        process = qdgrasp.start(*command, "--connect", own_endpoint(), module=module)
+        wait_for(lambda: _is_loaded(process.pid), "its threads")
+        return process
+
+    return begin
+
+
+def _is_loaded(pid: int) -> bool:
+    return len(list(Path(f"/proc/{pid}/task").iterdir())) > 4
+
+
+RECORDER = "qdgrasp_coordinator.cli.recorder"
+BEGINNINGS: dict[str, Beginning] = {
+    "a run": working,
+    "a run whose router is away": frozen("coordinator"),
+    "a run whose recorder hangs": frozen("recorder"),
+    "a run whose workers hang": frozen("worker"),
+    "a scene that is built": building,
+    "a campaign's scene that is built": campaigning,
+    "jobs without a router": seeking("jobs"),
+    "an order without a router": seeking("pause", "mugs"),
+    "a recorder without a router": seeking("--job", "mugs", "--out", "out", module=RECORDER),
+}
+QUICK = {"a run whose router is away": signal.SIGINT, "a campaign's scene that is built": signal.SIGTERM}
+
+
+def stopped(qdgrasp: Commands, begin: Beginning, number: int) -> float:
+    """Stop a command; it ends as it should, and with all its processes. Gives how long that took [s]."""
+    process = begin(qdgrasp)
+    started = list(processes_of(process.pid).values())
+    asked = time.monotonic()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    took = time.monotonic() - asked
+    assert process.returncode == 128 + number, err
+    assert "Traceback" not in err
+    assert not any(map(is_alive, started))
+    return took
+
+
+@pytest.mark.parametrize(("name", "number"), QUICK.items(), ids=QUICK)
+def test_a_command_stops_with_all_its_processes(qdgrasp: Commands, name: str, number: int) -> None:
+    stopped(qdgrasp, BEGINNINGS[name], number)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("name", BEGINNINGS)
+def test_a_command_stops_within_two_seconds(qdgrasp: Commands, name: str, number: int) -> None:
+    assert stopped(qdgrasp, BEGINNINGS[name], number) < PROMISED
