@@ -78,3 +78,15 @@ def test_an_access_list_with_holes_is_found_out(folder: Path, tmp_path: Path) ->
 def test_a_router_that_is_not_there_is_one_sentence(folder: Path) -> None:
     with pytest.raises(EndpointError, match="Nothing answers at tls/"):
         prove(encrypted_endpoint(), folder)
+
+
+@pytest.mark.slow
+def test_every_cell_is_as_it_should_be_through_two_routers(folder: Path) -> None:
+    first, second = encrypted_endpoint(), encrypted_endpoint()
+    shown = Credentials.find(folder, Role.ROUTER)
+    with (
+        ZenohBus.router(first, credentials=shown),
+        ZenohBus.router(second, connect=first, credentials=shown),
+    ):
+        found = prove(first, folder, takers_at=second)
+    assert found.faults == []
