@@ -14,7 +14,7 @@ help:
 	@echo "make check   formatter, linter, types, imports between rooms"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
 	@echo "make bench   what everything costs on this machine, and where the time goes (runs/bench)"
-	@echo "make scale   how far a coordinator goes, with workers that only answer; two minutes (runs/scale.json)"
+	@echo "make scale   how far a coordinator goes, with workers that only answer; three minutes (runs/scale.json)"
 	@echo "make results the runs whose results are missing, cheapest first; can be stopped (docs/results)"
 	@echo "make lock    write the lock files that images are built from (deploy/container)"
 	@echo "make clean   remove the environment and the caches of the tools"
