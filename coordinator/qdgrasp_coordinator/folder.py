@@ -15,6 +15,7 @@ from qdgrasp_coordinator import disk, journal_format
 from qdgrasp_coordinator.job_folder import LOGS, RUN, RUNS, Job, JobFolder
 from qdgrasp_coordinator.journal import Journal
 from qdgrasp_coordinator.journal_format import Identity
+from qdgrasp_protocol import codec
 from qdgrasp_protocol.errors import FolderError, MessageError
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, read_run_spec, run_spec, to_toml
@@ -143,7 +144,9 @@ class RunFolder:
             It is missing or damaged.
         """
         try:
-            return unpack_scene(disk.read(self.path / SCENE))
+            payload = disk.read(self.path / SCENE)
+            codec.check_bundle(payload)
+            return unpack_scene(payload)
         except MessageError as error:
             raise FolderError(
                 f"{self.path / SCENE} cannot be read: {error}; "

@@ -38,10 +38,12 @@ def fetch(bus: Bus, job: str, digest: str) -> bytes:
     NoReply, Refused
         The coordinator does not answer, or has no such scene.
     MessageError
-        What came is not the scene of that digest.
+        What came is not the scene of that digest, or larger than one can be.
     """
     key = Keys(job).asset(digest)
     first = codec.decode(bus.ask(key, parameters="i=0"), Chunk)
+    if first.total * SIZE > codec.MAX_BUNDLE:
+        raise MessageError(f"the scene has {first.total} chunks, more than {codec.MAX_BUNDLE // SIZE}")
     rest = [codec.decode(bus.ask(key, parameters=f"i={i}"), Chunk).data for i in range(1, first.total)]
     payload = b"".join([first.data, *rest])
     if hashlib.sha256(payload).hexdigest() != digest:

@@ -32,6 +32,17 @@ LIMITS = {
     "strict_map_key": True,
     "raw": False,
 }
+MAX_BUNDLE = 128 << 20
+"""The largest scene bundle that is fetched [bytes]; those of the built-in hands and objects have 0.2 MB."""
+MAX_BUNDLE_CONTAINERS = 1 << 16
+"""The most lists and maps in one; those have 50."""
+BUNDLE_LIMITS = {
+    "max_array_len": 1 << 16,
+    "max_map_len": 256,
+    "max_str_len": MAX_PAYLOAD,
+    "max_bin_len": MAX_BUNDLE,
+    "max_ext_len": 0,
+}
 
 
 @cache
@@ -55,11 +66,7 @@ def decode(payload: bytes, kind: type[M]) -> M:
     """
     if len(payload) > MAX_PAYLOAD:
         raise MessageError(f"{len(payload)} bytes are more than a message may have ({MAX_PAYLOAD})")
-    count = _Budget(MAX_CONTAINERS).count
-    try:
-        values = msgpack.unpackb(payload, list_hook=count, object_hook=count, **LIMITS)
-    except (ValueError, msgpack.UnpackException) as error:
-        raise MessageError(f"not MessagePack within the limits: {type(error).__name__}") from None
+    values = _unfolded(payload, MAX_CONTAINERS, LIMITS)
     try:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
@@ -77,6 +84,26 @@ def decoded(sample: Sample, kind: type[M]) -> M:
     if sample.encoding != encoding(kind):
         raise MessageError(f"expected {encoding(kind)}, got {_harmless(sample.encoding)}")
     return decode(sample.payload, kind)
+
+
+def check_bundle(payload: bytes) -> None:
+    """See that the bytes of a scene are MessagePack that does not unfold without end.
+
+    Raises
+    ------
+    MessageError
+        They are not.
+    """
+    _unfolded(payload, MAX_BUNDLE_CONTAINERS, BUNDLE_LIMITS)
+
+
+def _unfolded(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
+    """The values in a payload that has at most so many lists and maps."""
+    count = _Budget(containers).count
+    try:
+        return msgpack.unpackb(payload, list_hook=count, object_hook=count, **limits)
+    except (ValueError, msgpack.UnpackException) as error:
+        raise MessageError(f"not MessagePack within the limits: {type(error).__name__}") from None
 
 
 class _Budget:

@@ -44,3 +44,17 @@ def test_what_is_not_the_scene_of_its_digest_is_refused() -> None:
         bus.answer(KEYS.asset(), lambda query: codec.encode(Chunk(total=1, data=b"another")))
         with pytest.raises(MessageError, match="is not aaaaaaaaaaaa"):
             chunks.fetch(bus, "mugs", "a" * 64)
+
+
+def test_a_scene_that_is_said_to_be_too_large_is_not_even_fetched() -> None:
+    asked = []
+
+    def answer(query: Query) -> bytes:
+        asked.append(query.parameters)
+        return codec.encode(Chunk(total=4096, data=b""))
+
+    with LocalNetwork().session() as bus:
+        bus.answer(KEYS.asset(), answer)
+        with pytest.raises(MessageError, match="4096 chunks, more than 256"):
+            chunks.fetch(bus, "mugs", "a" * 64)
+    assert asked == ["i=0"]

@@ -201,3 +201,19 @@ def test_words_for_a_person_fit_into_a_message_in_any_language(text: str) -> Non
     assert codec.decode(codec.encode(report), Recorded) == report
     assert text.startswith(short(text))
     assert len(short(text)) >= min(len(text), 50)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"\xdc\xff\xff" + b"\x90" * 0xFFFF + b"\x90" * 9,
+        b"\x92" + (b"\xdc\xff\xff" + b"\x90" * 0xFFFF) * 2,
+        b"\xdd\x04\x00\x00\x00" + bytes(64 << 20),
+        b"\x91" * 100_000,
+        b"",
+    ],
+    ids=["more than one", "many lists", "a long list", "lists in lists", "nothing"],
+)
+def test_a_scene_that_unfolds_without_end_is_refused(payload: bytes) -> None:
+    with pytest.raises(MessageError):
+        codec.check_bundle(payload)

@@ -14,6 +14,7 @@ import numpy as np
 from setproctitle import setproctitle
 
 from qdgrasp_assets.scene import unpack_scene
+from qdgrasp_protocol import codec
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, short
 from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, Shape, pack, unpack
@@ -143,7 +144,8 @@ def _copy_results(source: Rows, target: Rows) -> None:
 
 
 def load_scene(bundle: bytes) -> Evaluator:
-    """The evaluator of a scene."""
+    """The evaluator of a scene, which does not unfold without end."""
+    codec.check_bundle(bundle)
     return Evaluator(unpack_scene(bundle))
 
 
