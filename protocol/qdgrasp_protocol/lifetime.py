@@ -24,6 +24,8 @@ class Stop:
 
     def __init__(self) -> None:
         self.signal: int | None = None
+        self.latest: int | None = None
+        """The last signal of several; the first decides the exit code."""
         self._told: list[Callable[[], None]] = []
 
     @property
@@ -42,6 +44,7 @@ class Stop:
 
     def set(self, number: int, _frame: FrameType | None = None) -> None:
         """Ask this process to stop; the first reason stays."""
+        self.latest = number
         if self.signal is None:
             self.signal = number
         for callback in self._told:

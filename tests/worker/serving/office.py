@@ -16,7 +16,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.local_bus import LocalNetwork
 from qdgrasp_protocol.messages import Control, Join, Joined, Result, Work
 
-PATIENCE = 60.0
+PATIENCE = 200.0
 
 
 class Office:

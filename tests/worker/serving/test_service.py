@@ -128,16 +128,37 @@ def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(hire, open
     assert office.answered() == [0]
 
 
-@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGTERM]])
-def test_sigint_or_a_second_signal_ends_a_worker_whose_simulator_hangs(hire, open_office, signals):
+@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGINT]])
+def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(hire, open_office, signals):
     office = open_office()
-    worker = hire()
+    worker = hire(grace=1000.0)
     office.give(work(0), work(1, row_0=stand_in.HANG))
     office.wait(lambda: office.results, "a result")
     for number in signals:
         worker.leave(number)
     assert worker.ended()
     assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
+
+
+def test_a_second_sigterm_takes_nothing_from_the_grace(hire, open_office):
+    office = open_office()
+    worker = hire()
+    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(6)}
+    office.give(work(1, n=6, **dawdle))
+    office.wait(lambda: office.signs, "a sign of progress")
+    for _ in range(2):
+        worker.leave(signal.SIGTERM)
+    assert worker.ended()
+    assert office.answered() == [1]
+
+
+def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_office, network):
+    with Office(network) as office:
+        worker = hire(grace=1000.0)
+        office.give(work(1, row_0=stand_in.HANG))
+        office.wait(lambda: office.signs, "a sign of progress")
+    worker.leave()
+    assert worker.ended()
 
 
 def test_what_a_killed_simulator_had_is_handed_back_and_the_next_one_goes_on(hire, open_office):

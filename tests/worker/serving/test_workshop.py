@@ -18,7 +18,7 @@ from qdgrasp_worker.serving.simulator import News, Simulator
 from qdgrasp_worker.serving.task import Task
 from qdgrasp_worker.serving.workshop import NoSimulator, Workshop
 
-PATIENCE = 60.0
+PATIENCE = 200.0
 ROW_SECONDS = 0.4
 MEGABYTE = 1_000_000
 SCENE = b"a scene"

@@ -181,12 +181,13 @@ class WorkerService:
             self._leave.heard(answered.job)
 
     def _asked(self, now: float) -> None:
-        """Leave: after SIGTERM with the batch in work if that fits, at once after anything else, or twice."""
-        if self._stop.signal != signal.SIGTERM or self._leave.has_begun:
+        """Leave: after SIGTERM with the batch in work if that fits, after SIGINT, before or then, at once."""
+        if self._stop.latest != signal.SIGTERM:
             self._leave.at_once()
-            return
-        self._leave.begin(self._workshop.head, now)
-        self._hand_back_all(now)
+        elif not self._leave.has_begun:
+            head = self._workshop.head
+            self._leave.begin(head if head is not None and self._is_awaited(head) else None, now)
+            self._hand_back_all(now)
 
     def _hand_back_all(self, now: float) -> None:
         """Hand all batches back but the one that is to be finished in time."""
@@ -233,6 +234,11 @@ class WorkerService:
     def _is_wanted(self, task: Task) -> bool:
         appointment = self._jobs.get(task.job)
         return appointment is not None and appointment.desk.holds(task.work.batch)
+
+    def _is_awaited(self, task: Task) -> bool:
+        """Whether somebody is there to hear what becomes of a batch."""
+        appointment = self._jobs.get(task.job)
+        return self._is_wanted(task) and appointment is not None and appointment.alive
 
     def _release(self, task: Task) -> None:
         appointment = self._jobs.get(task.job)

@@ -30,7 +30,7 @@ class Task:
     @property
     def is_done(self) -> bool:
         """All rows are known."""
-        return self.done == self.work.n
+        return self.done >= self.work.n
 
     def seconds_left(self, now: float) -> float:
         """How long the rest takes if it goes on like this; while no row is known, as long as until now."""

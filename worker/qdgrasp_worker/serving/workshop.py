@@ -18,7 +18,7 @@ from qdgrasp_worker.serving.task import Task
 log = structlog.get_logger()
 
 PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
-"""Seconds before the next simulator, by how many ended of nothing in the batch since a row was evaluated."""
+"""Seconds before the next simulator, by how many were killed or did not start since a row was evaluated."""
 LAST_PAUSE = 8.0
 """Seconds before each one after those."""
 ROOM = 1.4
