@@ -12,18 +12,18 @@ settings.register_profile(
 settings.load_profile("shared")
 
 TESTS = Path(__file__).resolve().parent
-SYSTEM = TESTS / "system"
+STARTERS = (TESTS / "system", TESTS / "chaos")
 """Where tests start processes of their own."""
 SIBLING = TESTS.parents[1] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
 
 
 class ByModule(LoadScopeScheduling):
-    """Where several processes test (`pytest -n`): a module stays in one, and so does all of tests/system."""
+    """Where several processes test (`pytest -n`): a module stays in one, and so do all that start others."""
 
     def _split_scope(self, nodeid: str) -> str:
         module = nodeid.partition("::")[0]
-        return SYSTEM.name if SYSTEM in (TESTS.parent / module).parents else module
+        return "starters" if starts_processes(TESTS.parent / module) else module
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -33,7 +33,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByModule:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What starts processes of its own takes longest, and comes first."""
-    items.sort(key=lambda item: SYSTEM not in item.path.parents)
+    items.sort(key=lambda item: not starts_processes(item.path))
+
+
+def starts_processes(module: Path) -> bool:
+    return any(folder in module.parents for folder in STARTERS)
 
 
 @pytest.fixture(scope="session")

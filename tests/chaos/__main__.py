@@ -1,0 +1,94 @@
+"""Runs that are disturbed by seeded blows end as undisturbed ones do: `python -m tests.chaos`.
+
+Without --seed: one seed of 20 000 evaluations and nine of 5000.
+"""
+
+import argparse
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tests.chaos.plan import blows, course
+from tests.chaos.play import disturb
+from tests.chaos.undisturbed import undisturbed_digest
+
+LONG, SHORT = 20_000, 5_000
+SEEDS = range(10)
+"""The first is the long one."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Disturb what is asked for; 1 where a run did not end as it should."""
+    parser = argparse.ArgumentParser(prog="python -m tests.chaos", description=__doc__)
+    parser.add_argument("--seed", type=int, help="only this one")
+    parser.add_argument("--evaluations", type=int, help="in a run (default: 20000 of seed 0, 5000 of others)")
+    parser.add_argument("--workers", type=int, default=4, help="how many (default: 4)")
+    parser.add_argument("--minutes", type=float, default=20.0, help="that one run may take (default: 20)")
+    parser.add_argument("--out", type=Path, default=Path("runs/chaos"), help="folder (default: runs/chaos)")
+    parser.add_argument("--plan", type=int, metavar="N", help="only show the first N blows of the seed")
+    asked = parser.parse_args(arguments)
+    if asked.plan is not None:
+        return show_plan(asked.seed or 0, asked.workers, asked.plan)
+    began = time.monotonic()
+    seeds = SEEDS if asked.seed is None else [asked.seed]
+    failed = [seed for seed in seeds if not carry_out(seed, asked)]
+    say(f"{len(seeds)} seeds in {(time.monotonic() - began) / 60:.1f} min; failed: {failed or 'none'}")
+    return int(bool(failed))
+
+
+def show_plan(seed: int, workers: int, number: int) -> int:
+    """Print the first blows of a seed."""
+    at = 0.0
+    for _, blow in zip(range(number), blows(seed, workers), strict=False):
+        at += blow.after
+        say(f"{at:7.1f} s  {blow}")
+    return 0
+
+
+def carry_out(seed: int, asked: argparse.Namespace) -> bool:
+    """Carry the run of a seed out, undisturbed and disturbed; whether both gave the same."""
+    evaluations = asked.evaluations or (LONG if seed == SEEDS[0] else SHORT)
+    kind = course(seed)
+    spec = kind.spec(seed, evaluations)
+    out = asked.out.resolve()
+    say(f"seed {seed}: {evaluations} evaluations, {kind.method}, protocol {kind.protocol}")
+    expected = undisturbed_digest(spec, out / "undisturbed")
+    say(f"undisturbed digest {expected}")
+    home = out / f"seed-{seed}"
+    shutil.rmtree(home, ignore_errors=True)
+    plan = blows(seed, asked.workers)
+    terms = {"workers": asked.workers, "pace": kind.pace, "limit": 60 * asked.minutes}
+    story = disturb(home, spec, plan, **terms, say=Log(home))
+    is_same = story.digest == expected
+    say(f"seed {seed}: {story.words}; ended by themselves: {dict(story.ended) or 'none'}")
+    say(f"disturbed digest   {story.digest or 'none'}: {'the same' if is_same else 'ANOTHER ONE'}")
+    if is_same and not story.troubles:
+        return True
+    say(f"seed {seed} FAILED: {'; '.join(story.troubles) or 'the digests differ'}; everything is in {home}")
+    say(f"again: python -m tests.chaos --seed {seed} --evaluations {evaluations} --workers {asked.workers}")
+    return False
+
+
+class Log:
+    """Prints events, and keeps them in a file."""
+
+    def __init__(self, home: Path) -> None:
+        self._file = home / "chaos.log"
+
+    def __call__(self, line: str) -> None:
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(f"{line}\n")
+        say(line)
+
+
+def say(line: str) -> None:
+    """Print a line now."""
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+"""The processes of one job on loopback, each by its name: started, struck, started again, and ended."""
+
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from tests.chaos.plan import HEAD
+from tests.chaos.process import Process
+from tests.chaos.slow_simulator import PACE
+from tests.endpoints import own_endpoint
+from tests.system.commands import rows_recorded
+
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+JOB = "chaos"
+FAREWELL = 10.0  # seconds that everybody may take to stop, on a busy machine
+
+
+class Household:
+    """A router, a coordinator, a recorder and workers of one run; a context manager that ends them all.
+
+    Parameters
+    ----------
+    home
+        A folder of their own; the run's is `home/run`, what they say is in `home/logs`.
+    pace
+        Seconds that an evaluation takes at least.
+    """
+
+    def __init__(self, home: Path, spec: RunSpec, *, workers: int, pace: float = 0.0) -> None:
+        self.home = home
+        self.run = home / "run"
+        self.endpoint = own_endpoint()
+        self._pace = pace
+        home.mkdir(parents=True, exist_ok=True)
+        file = home / "spec.toml"
+        file.write_text(to_toml(spec))
+        there = ["--connect", self.endpoint]
+        self._members: dict[str, Process] = {}
+        self.add("router", "qdgrasp_coordinator.cli.router", "--listen", self.endpoint)
+        self.add("coordinator", "qdgrasp_coordinator.cli.coordinator", file, "--job", JOB, *there)
+        self.add("recorder", "qdgrasp_coordinator.cli.recorder", "--job", JOB, "--out", self.run, *there)
+        for number in range(workers):
+            self.add(f"worker-{number}", "tests.chaos.slow_worker", "--job", JOB, *there)
+
+    def add(self, name: str, module: str, *arguments: object) -> Process:
+        """Take another process in; it is not started yet."""
+        log = self.home / "logs" / f"{name}.log"
+        environment = {PACE: str(self._pace), "QDGRASP_CACHE": str(self.home / "cache")}
+        member = self._members[name] = Process(name, module, arguments, log, **environment)
+        return member
+
+    def __getitem__(self, name: str) -> Process:
+        return self._members[name]
+
+    def __iter__(self) -> Iterator[Process]:
+        return iter(self._members.values())
+
+    @property
+    def workers(self) -> list[Process]:
+        """Everybody but the head."""
+        return [member for member in self if member.name not in HEAD]
+
+    @property
+    def rows(self) -> int:
+        """How many rows are recorded."""
+        return rows_recorded(self.run)
+
+    def start(self) -> None:
+        """Start whoever is not there."""
+        for member in self:
+            member.start()
+
+    def end(self) -> list[str]:
+        """Ask everybody to stop, and kill who does not; gives the names of those."""
+        for member in self:
+            member.send(signal.SIGCONT)
+            member.send(signal.SIGTERM)
+        deadline = time.monotonic() + FAREWELL
+        while any(member.is_there for member in self) and time.monotonic() < deadline:
+            time.sleep(0.02)  # between two looks
+        late = [member.name for member in self if member.is_there]
+        for member in self:
+            member.send(signal.SIGKILL)
+        return late
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self.end()

@@ -1,0 +1,185 @@
+"""A run that is disturbed from its first recorded row to its end, and what came of it."""
+
+import heapq
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests.chaos.household import Household
+from tests.chaos.plan import Blow, Deed
+from tests.chaos.process import Process
+from tests.chaos.undisturbed import recorded_digest
+
+from qdgrasp_protocol.spec import RunSpec
+
+LOOK = 0.05  # seconds between two looks at the processes
+COUNT = 1.0  # seconds between two looks at the records
+STANDSTILL = 180.0  # seconds without a new row after which a run is given up
+REST = 1.0  # seconds until a process that ended by itself is started again
+
+
+@dataclass
+class Story:
+    """What happened in a run."""
+
+    struck: Counter[tuple[str, Deed]] = field(default_factory=Counter)
+    """By the kind of process."""
+    ended: Counter[str] = field(default_factory=Counter)
+    """Processes that ended by themselves before the job was done, by their names."""
+    seconds: float = 0.0
+    digest: str = ""
+    troubles: list[str] = field(default_factory=list)
+    """What should not have happened."""
+
+    @property
+    def words(self) -> str:
+        """The blows in brief."""
+        counts = ", ".join(f"{deed} {kind} {n}" for (kind, deed), n in sorted(self.struck.items()))
+        return f"{self.struck.total()} blows in {self.seconds:.0f} s ({counts})"
+
+
+class Play:
+    """Strikes the processes of a household by a plan.
+
+    Parameters
+    ----------
+    plan
+        Blows; once they are over, the run is left alone.
+    limit
+        Seconds that the run may take.
+    say
+        Hears every event.
+    """
+
+    def __init__(
+        self, household: Household, plan: Iterator[Blow], limit: float, say: Callable[[str], None]
+    ) -> None:
+        self._household = household
+        self._plan = plan
+        self._limit = limit
+        self._began = time.monotonic()
+        self._tell = say
+        self._story = Story()
+        self._mends: list[tuple[float, str]] = []
+        """When who is to be started again, or to go on: a heap."""
+        self._has_begun = False
+        self._blow: Blow | None = None
+        self._strike_at = 0.0
+        self._rows, self._rows_at, self._counted_at = 0, self._began, 0.0
+
+    def carry_out(self) -> Story:
+        """Disturb the run until its coordinator has ended well, or it is given up."""
+        self._household.start()
+        while not self._is_over():
+            now = time.monotonic()
+            self._mend(now)
+            self._count(now)
+            if self._blow is not None and now >= self._strike_at:
+                self._strike(self._blow, now)
+            time.sleep(LOOK)
+        self._say("the job is over; everybody is asked to stop")
+        self._conclude()
+        return self._story
+
+    def _is_over(self) -> bool:
+        coordinator, now = self._household["coordinator"], time.monotonic()
+        for member in self._household:
+            self._look_at(member, now)
+        if now > self._began + self._limit:
+            self._trouble(f"it took more than {self._limit:.0f} s")
+        elif now > self._rows_at + STANDSTILL:
+            self._trouble(f"no row was recorded for {STANDSTILL:.0f} s")
+        return bool(self._story.troubles) or coordinator.exit_code == 0
+
+    def _look_at(self, member: Process, now: float) -> None:
+        """Start a process again that ended by itself, as services are: there may have been no router."""
+        code = member.exit_code
+        if code is None or self._is_awaited(member.name) or (member.name == "coordinator" and code == 0):
+            return
+        self._story.ended[member.name] += 1
+        self._say(f"{member.name} ended with exit code {code}: {member.last_words}")
+        self._mend_later(member.name, now + REST)
+
+    def _is_awaited(self, name: str) -> bool:
+        return any(who == name for _, who in self._mends)
+
+    def _mend_later(self, name: str, at: float) -> None:
+        heapq.heappush(self._mends, (at, name))
+
+    def _mend(self, now: float) -> None:
+        """Start again, or let go on, who is due."""
+        while self._mends and self._mends[0][0] <= now:
+            member = self._household[heapq.heappop(self._mends)[1]]
+            if member.is_stopped and member.is_there:
+                member.send(signal.SIGCONT)
+                self._say(f"{member.name} goes on")
+            elif not member.is_there:
+                member.start()
+                self._say(f"{member.name} is started again, pid {member.pid}")
+
+    def _count(self, now: float) -> None:
+        """See how far the run is; the first blow falls after the first row."""
+        if now < self._counted_at + COUNT:
+            return
+        self._counted_at = now
+        rows = self._household.rows
+        if rows != self._rows:
+            self._rows, self._rows_at = rows, now
+            if not self._has_begun:
+                self._has_begun = True
+                self._plan_blow(now)
+
+    def _plan_blow(self, now: float) -> None:
+        self._blow = next(self._plan, None)
+        if self._blow is not None:
+            self._strike_at = now + self._blow.after
+
+    def _strike(self, blow: Blow, now: float) -> None:
+        """Strike, unless there is nobody to strike; then comes the next blow of the plan."""
+        member = self._household[blow.victim]
+        if member.is_there and not (blow.deed is Deed.STOP and member.is_stopped):
+            self._say(f"{blow} (pid {member.pid}, {self._rows} rows recorded)")
+            self._story.struck[blow.victim.partition("-")[0], blow.deed] += 1
+            member.send(signal.SIGKILL if blow.deed is Deed.KILL else signal.SIGSTOP)
+            self._mends = [mend for mend in self._mends if mend[1] != blow.victim]
+            heapq.heapify(self._mends)
+            self._mend_later(blow.victim, now + blow.seconds)
+        else:
+            self._say(f"{blow.deed} {blow.victim}: it is {'stopped' if member.is_there else 'dead'} already")
+        self._plan_blow(now)
+
+    def _conclude(self) -> None:
+        self._story.seconds = time.monotonic() - self._began
+        late = self._household.end()
+        if late:
+            self._trouble(f"{', '.join(late)} did not stop when asked to")
+        for member in self._household:
+            if "Traceback" in member.words:
+                self._trouble(f"{member.log} holds a traceback")
+        if self._household.rows:
+            self._story.digest = recorded_digest(self._household.run)
+
+    def _trouble(self, what: str) -> None:
+        self._story.troubles.append(what)
+        self._say(f"TROUBLE: {what}")
+
+    def _say(self, what: str) -> None:
+        self._tell(f"{time.monotonic() - self._began:7.1f} s  {what}")
+
+
+def disturb(
+    home: Path,
+    spec: RunSpec,
+    plan: Iterator[Blow],
+    *,
+    workers: int,
+    pace: float,
+    limit: float,
+    say: Callable[[str], None],
+) -> Story:
+    """Carry a run out in a new folder while it is disturbed; see `Household` and `Play`."""
+    with Household(home, spec, workers=workers, pace=pace) as household:
+        return Play(household, plan, limit, say).carry_out()

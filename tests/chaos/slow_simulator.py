@@ -1,0 +1,34 @@
+"""A simulator that takes its time: CHAOS_PACE seconds for each row, besides what the evaluation takes."""
+
+import os
+import time
+
+import numpy as np
+
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_worker.evaluate import Evaluation, Evaluator
+from qdgrasp_worker.serving.child import load_scene, main
+
+PACE = "CHAOS_PACE"
+
+
+class Slow:
+    """An evaluator whose results come later."""
+
+    def __init__(self, evaluator: Evaluator, pace: float) -> None:
+        self._evaluator = evaluator
+        self._pace = pace
+
+    def shape(self, prior: str) -> Shape:
+        return self._evaluator.shape(prior)
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        time.sleep(self._pace * len(genomes))
+        return self._evaluator.evaluate(prior, genomes, trials)
+
+    def close(self) -> None:
+        self._evaluator.close()
+
+
+if __name__ == "__main__":
+    main(load=lambda bundle: Slow(load_scene(bundle), float(os.environ[PACE])))

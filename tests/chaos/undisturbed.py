@@ -1,0 +1,50 @@
+"""What a run gives that nobody disturbs: computed once for each spec and each state of the source."""
+
+import hashlib
+import shutil
+from pathlib import Path
+
+from tests.chaos.process import ROOT, Process
+
+from qdgrasp_coordinator.digest import digest
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+ROOMS = ("assets", "coordinator", "protocol", "worker")
+DIGEST = "digest"
+
+
+def undisturbed_digest(spec: RunSpec, store: Path) -> str:
+    """The digest of `qdgrasp run` with two workers and nobody else; kept in a folder of `store`."""
+    home = store / _key(spec)
+    known = home / DIGEST
+    if not known.is_file():
+        shutil.rmtree(home, ignore_errors=True)
+        home.mkdir(parents=True)
+        known.write_text(_carried_out(spec, home))
+    return known.read_text()
+
+
+def recorded_digest(run: Path) -> str:
+    """What `qdgrasp digest` prints, without a process for it."""
+    with RunFolder.open(run).journal() as journal:
+        return digest(journal)
+
+
+def _carried_out(spec: RunSpec, home: Path) -> str:
+    file, run = home / "spec.toml", home / "run"
+    file.write_text(to_toml(spec))
+    command = ("run", file, "--workers", 2, "--out", run)
+    process = Process("run", "qdgrasp", command, home / "log")
+    process.start()
+    assert process.wait() == 0, process.words
+    return recorded_digest(run)
+
+
+def _key(spec: RunSpec) -> str:
+    """A name for a spec and the source that carries it out."""
+    key = hashlib.sha256(to_toml(spec).encode())
+    for room in ROOMS:
+        for source in sorted((ROOT / room).rglob("*.py")):
+            key.update(source.read_bytes())
+    return key.hexdigest()[:16]
