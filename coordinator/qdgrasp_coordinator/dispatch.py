@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.backlog import Backlog
 from qdgrasp_coordinator.batch import Batch, Lease, Settled, Settlement, complete
-from qdgrasp_coordinator.roster import Member, Roster
+from qdgrasp_coordinator.member import Member
+from qdgrasp_coordinator.roster import Roster
 from qdgrasp_coordinator.tickets import Ticket, Tickets
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Result

@@ -4,91 +4,12 @@ Rules 1, 3 and 4 of docs/bus.md: credit, join numbers, lost tokens and leases th
 in seconds of any steady clock.
 """
 
-from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from heapq import heapify, heappop, heappush
+from dataclasses import dataclass
 from math import inf
 
+from qdgrasp_coordinator.member import GRACE, LATE, FreeHands, Member
 from qdgrasp_coordinator.pace import Patience
-
-GRACE = 1.0
-"""Seconds between the loss of a worker's token and the end of its leases."""
-LATE = 30.0
-"""Seconds by which a worker's token may come later than its question to join."""
-SCENES = 8
-"""Scenes that a worker keeps open, least recently used first out."""
-
-
-@dataclass(eq=False)
-class Member:
-    """What is known of a worker."""
-
-    wid: str
-    number: int
-    """How often it has joined."""
-    credit: int
-    """How many batches it may hold."""
-    order: int
-    """Which one it was to join first."""
-    progress: float
-    """When it last showed progress, or was leased something while it held nothing."""
-    batches: dict[bytes, None] = field(default_factory=dict)
-    """The ids of the batches it holds."""
-    scenes: OrderedDict[str, None] = field(default_factory=OrderedDict)
-    """The scenes it holds, the latest last."""
-    gone_at: float | None = None
-    """When its token vanished; None: it is there."""
-    is_stuck: bool = False
-    """It let a lease pass; until it shows progress it gets no work, unless all are stuck."""
-    is_drained: bool = False
-    """It is to leave: it gets no more work."""
-    since: float = 0.0
-    """When it joined first."""
-    rows: int = 0
-    """How many rows it has settled."""
-
-    @property
-    def is_well(self) -> bool:
-        """It is there to stay, and makes progress."""
-        return self.gone_at is None and not self.is_stuck and not self.is_drained
-
-    @property
-    def has_credit(self) -> bool:
-        """It is there, and may be leased more."""
-        return len(self.batches) < self.credit and self.gone_at is None and not self.is_drained
-
-    @property
-    def state(self) -> str:
-        """How it is, in a word."""
-        if self.gone_at is not None:
-            return "gone"
-        if self.is_drained:
-            return "leaving"
-        if self.is_stuck:
-            return "stuck"
-        return "working" if self.batches else "idle"
-
-    def deadline(self, limit: float) -> float:
-        """When it is given up unless something is heard of it; infinite: never."""
-        if self.gone_at is not None:
-            return self.gone_at + GRACE
-        return self.progress + limit if self.batches else inf
-
-    def progressed(self, now: float) -> None:
-        """Hear a sign of progress."""
-        self.progress = now
-        self.is_stuck = False
-
-    def hold(self, batch_id: bytes, scene: str, now: float) -> None:
-        """Take a batch into its hands."""
-        if not self.batches:
-            self.progress = now
-        self.batches[batch_id] = None
-        self.scenes[scene] = None
-        self.scenes.move_to_end(scene)
-        if len(self.scenes) > SCENES:
-            self.scenes.popitem(last=False)
 
 
 @dataclass(frozen=True)
@@ -226,7 +147,7 @@ class Roster:
             self._look_at_all()
         return self._quiet_until if self._link_is_up else inf
 
-    def free(self) -> "FreeHands":
+    def free(self) -> FreeHands:
         """The workers that may be leased more; stuck ones are among them only if no other is left."""
         return FreeHands([member for member in self._free.values() if not (member.is_stuck and self._well)])
 
@@ -248,25 +169,3 @@ class Roster:
         self._quiet_until = min(
             (member.deadline(self._limit) for member in self._members.values()), default=inf
         )
-
-
-class FreeHands:
-    """Workers with credit left, the one with the fewest batches first.
-
-    Of equals it is the one that was quiet for longest: with it every stuck worker gets its turn.
-    """
-
-    def __init__(self, members: list[Member]) -> None:
-        self._heap = [(len(member.batches), member.progress, member.order, member) for member in members]
-        heapify(self._heap)
-
-    @property
-    def first(self) -> Member | None:
-        """The worker whose turn it is; None: nobody has credit left."""
-        return self._heap[0][-1] if self._heap else None
-
-    def next(self) -> None:
-        """Hear that the first was leased something."""
-        *_, order, member = heappop(self._heap)
-        if member.has_credit:
-            heappush(self._heap, (len(member.batches), member.progress, order, member))

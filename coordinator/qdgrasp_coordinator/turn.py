@@ -16,8 +16,8 @@ from qdgrasp_coordinator.figures import WorkerFigures
 from qdgrasp_coordinator.generation import Generation
 from qdgrasp_coordinator.inbox import JoinRequest, LinkChange, TokenChange
 from qdgrasp_coordinator.lane import Lane
+from qdgrasp_coordinator.member import Member
 from qdgrasp_coordinator.platforms import admit
-from qdgrasp_coordinator.roster import Member
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.codec import decoded

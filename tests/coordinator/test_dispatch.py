@@ -20,7 +20,7 @@ from tests.coordinator.dispatching import (
 
 from qdgrasp_coordinator.batch import Settlement
 from qdgrasp_coordinator.dispatch import Dispatch
-from qdgrasp_coordinator.roster import GRACE, SCENES
+from qdgrasp_coordinator.member import GRACE, SCENES
 from qdgrasp_protocol.codec import decode, encode
 from qdgrasp_protocol.messages import Work
 

@@ -15,8 +15,8 @@ from tests.coordinator.dispatching import (
 
 from qdgrasp_coordinator.batch import Settlement
 from qdgrasp_coordinator.dispatch import Dispatch
+from qdgrasp_coordinator.member import GRACE
 from qdgrasp_coordinator.pace import LEASE_SECONDS
-from qdgrasp_coordinator.roster import GRACE
 
 # 3. The join fence.
 

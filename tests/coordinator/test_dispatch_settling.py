@@ -16,8 +16,8 @@ from tests.coordinator.dispatching import (
 
 from qdgrasp_coordinator.batch import Settlement
 from qdgrasp_coordinator.dispatch import STRIKES, Dispatch
+from qdgrasp_coordinator.member import GRACE
 from qdgrasp_coordinator.pace import LEASE_SECONDS
-from qdgrasp_coordinator.roster import GRACE
 from qdgrasp_coordinator.tickets import REMEMBERED
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result
