@@ -31,7 +31,8 @@ class Process:
         self.log = log
         self.is_stopped = False
         self._command = [sys.executable, "-m", module, *map(str, arguments)]
-        self._environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+        path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+        self._environment = {**os.environ, "PYTHONPATH": path, **environment}
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
