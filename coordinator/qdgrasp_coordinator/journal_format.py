@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from qdgrasp_coordinator.disk import damaged
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.rows import Shape
 
 FILE = "run.sqlite"
@@ -19,6 +19,12 @@ FORMAT = 1
 REDUCED = 2
 """The format of a journal that keeps successes alone (`reduction`)."""
 UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM}
+NO_ROOM = {
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR_WRITE,  # a file at its size limit, a quota
+    sqlite3.SQLITE_IOERR_SHMSIZE,  # also of who only reads
+}
+"""What SQLite says when a write does not fit; the transaction is taken back, the journal stays whole."""
 SCHEMA = """
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;
 CREATE TABLE turns (
@@ -86,12 +92,16 @@ def readable(file: Path) -> Iterator[None]:
     ------
     FolderError
         It is not a database, is damaged, or may not be read.
+    DiskFull
+        There is no room for what reading it takes.
     """
     try:
         yield
     except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode == sqlite3.SQLITE_NOTADB:
             raise FolderError(f"{file} is not a journal of qdgrasp.") from None
+        if error.sqlite_errorcode in NO_ROOM:
+            raise DiskFull(f"There is no room in {file.parent} to read {file.name}: {error}.") from None
         if error.sqlite_errorcode in UNREADABLE:
             raise FolderError(f"{file} cannot be read: {error}.") from None
         raise damaged(file, str(error)) from None

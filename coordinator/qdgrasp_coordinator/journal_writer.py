@@ -11,18 +11,10 @@ import numpy as np
 
 from qdgrasp_coordinator.cells import cells
 from qdgrasp_coordinator.journal import Journal
-from qdgrasp_coordinator.journal_format import FILE, Identity, lay_out, readable
+from qdgrasp_coordinator.journal_format import FILE, NO_ROOM, Identity, lay_out, readable
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.outcome import Outcome
-
-NO_ROOM = {
-    sqlite3.SQLITE_FULL,
-    sqlite3.SQLITE_IOERR_WRITE,  # a file at its size limit, a quota
-    sqlite3.SQLITE_IOERR_SHMSIZE,
-}
-"""What SQLite says when a write does not fit; the transaction is taken back, the journal stays whole."""
-
 
 SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 

@@ -6,7 +6,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from tests.endpoints import own_endpoint
 from tests.system.commands import LONG, Commands, is_alive, kill, processes_of, rows_recorded, wait_for
+
+from qdgrasp_coordinator.job_folder import JobFolder
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
 def start(qdgrasp: Commands, rows: int) -> tuple[subprocess.Popen[str], Path]:
@@ -106,3 +110,63 @@ def test_the_processes_of_a_run_are_known_by_name(qdgrasp):
     process, _ = start(qdgrasp, 1)
     names = sorted(name.rsplit("-", 1)[0] for name in processes_of(process.pid))
     assert names == ["qdgrasp-coordinator", "qdgrasp-recorder", "qdgrasp-worker", "qdgrasp-worker"]
+
+
+def test_a_run_that_was_killed_before_its_journal_began_is_gone_on_with(qdgrasp, long_digest):
+    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run")
+    folder = qdgrasp.home / "run"
+    wait_for(lambda: (folder / "job.json").exists() or process.poll() is not None, "the folder")
+    kill(process.pid)
+    process.communicate()
+    assert not (folder / "run.sqlite").exists()
+    done = qdgrasp("resume", "run", "--workers", 2)  # while the processes of the first may just be starting
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_run_is_not_lost_to_a_disk_that_is_full_when_it_is_resumed(qdgrasp, long_digest):
+    process, folder = start(qdgrasp, 20)
+    os.kill(process.pid, signal.SIGTERM)
+    process.communicate(timeout=30)
+    before = rows_recorded(folder)
+    for limit in (20_000, 50_000):  # without room to look at the journal, and to write in it
+        full = qdgrasp.start("resume", "run", "--workers", 1, "--disk-wait", 1, file_size=limit)
+        _, err = full.communicate(timeout=120)
+        assert full.returncode == 2, err
+        assert "no room" in err
+        assert rows_recorded(folder) >= before
+    done = qdgrasp("resume", "run", "--workers", 2)
+    assert done.code == 0, done.err
+    assert qdgrasp.digest("run") == long_digest
+
+
+SPEC = """
+gripper = "panda"
+object = "tennis_ball"
+population = 60
+evaluations = 320
+"""
+
+
+def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgrasp, long_digest):
+    endpoint = own_endpoint()
+    place = ("--connect", endpoint, "--job", "mugs")
+    (qdgrasp.home / "mugs.toml").write_text(SPEC)
+    with ZenohBus.router(endpoint):
+        qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder")
+        old = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator")
+        qdgrasp.start(*place, module="qdgrasp_worker.cli")
+        wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20, "rows")
+        other = qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder")
+        assert "is in use by process" in other.communicate(timeout=60)[1]
+        assert other.returncode == 2
+        os.kill(old.pid, signal.SIGSTOP)
+        new = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator")
+        wait_for(lambda: JobFolder(qdgrasp.home / "run").epoch == 2, "another turn")
+        os.kill(old.pid, signal.SIGCONT)
+        assert "Another coordinator of job 'mugs' took over (epoch 2)" in old.communicate(timeout=60)[1]
+        assert old.returncode == 1
+        _, err = new.communicate(timeout=120)
+        assert new.returncode == 0, err
+        qdgrasp.end_all()
+    assert qdgrasp.digest("run") == long_digest

@@ -63,6 +63,8 @@ def coordinator(
         bus, endpoint = _session(listen, connect, security, stop, insecure=insecure)
         stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
+        if stop.is_set:  # whoever started this process may be gone, and another one be there for the folder
+            raise typer.Exit(stop.exit_code)
         if folder is not None:
             folder.write_endpoint(endpoint)
         CoordinatorService(
