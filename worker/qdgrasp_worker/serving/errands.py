@@ -5,12 +5,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+import structlog
+
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.errors import NoReply, QdgraspError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Join, Joined
 from qdgrasp_worker.serving.bundles import Bundles
+
+log = structlog.get_logger()
 
 JOIN_SECONDS = 2.0
 """How long an answer to a join is waited for."""
@@ -69,3 +73,6 @@ def _tried(act: Callable[[], T]) -> T | QdgraspError:
         return act()
     except QdgraspError as error:
         return error
+    except Exception as error:
+        log.exception("an errand failed")
+        return NoReply(f"{type(error).__name__}: {error}")

@@ -19,21 +19,21 @@ import structlog
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel, Sample
 from qdgrasp_protocol.drops import Drops
-from qdgrasp_protocol.errors import BusError, MessageError
+from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import Control, Work
 from qdgrasp_worker.serving.appointments import Appointments
+from qdgrasp_worker.serving.belt import Belt
 from qdgrasp_worker.serving.bundles import Bundles
-from qdgrasp_worker.serving.desk import Desk
 from qdgrasp_worker.serving.errands import Answered, Errands, Fetched
 from qdgrasp_worker.serving.events import Asked, CoordinatorSeen, Event, Inbox, LinkChanged
 from qdgrasp_worker.serving.leave import Leave
-from qdgrasp_worker.serving.memberships import Memberships, jitter
+from qdgrasp_worker.serving.memberships import Memberships
 from qdgrasp_worker.serving.scenes import Scenes
 from qdgrasp_worker.serving.simulator import Ended, Heard
 from qdgrasp_worker.serving.task import Task
-from qdgrasp_worker.serving.workshop import Outcome, Workshop
+from qdgrasp_worker.serving.workshop import Workshop
 
 log = structlog.get_logger()
 
@@ -78,9 +78,9 @@ class WorkerService:
         errands = Errands(bus, bundles, inbox.put)
         self._jobs = Appointments()
         self._memberships = Memberships(bus, errands, self._jobs, self.wid, job)
-        self._scenes = Scenes(errands)
         self._keys = Keys(job) if job else AnyJob()
         self._leave = Leave(grace)
+        self._belt = Belt(self._jobs, workshop, Scenes(errands), self._leave, self._send)
         self._drops = Drops()
         self._sign_at = 0.0
 
@@ -110,7 +110,7 @@ class WorkerService:
     def _act(self, now: float) -> None:
         """Do what is due."""
         self._workshop.tick(now)
-        self._feed(now)
+        self._belt.feed(now)
         if self._leave.is_late(now):
             self._hand_back_all(now)
         if self._workshop.platform is not None:
@@ -148,9 +148,9 @@ class WorkerService:
             case Sample():
                 self._read(event)
             case Heard() | Ended():
-                self._settle(self._workshop.hear(event, now), now)
+                self._belt.settle(self._workshop.hear(event, now), now)
             case Fetched():
-                self._take_scene(event, now)
+                self._belt.scene_came(event, now)
             case Answered():
                 self._take_answer(event, now)
             case CoordinatorSeen(key, is_alive):
@@ -185,8 +185,7 @@ class WorkerService:
         if self._stop.latest != signal.SIGTERM:
             self._leave.at_once()
         elif not self._leave.has_begun:
-            head = self._workshop.head
-            self._leave.begin(head if head is not None and self._is_awaited(head) else None, now)
+            self._leave.begin(self._belt.head, now)
             self._hand_back_all(now)
 
     def _hand_back_all(self, now: float) -> None:
@@ -200,97 +199,12 @@ class WorkerService:
                 appointment.join_soon(now)
                 self._leave.tell(appointment.desk.job)
 
-    # Batches go to the simulator, and come back.
-
-    def _feed(self, now: float) -> None:
-        """Let the simulator have what it has room for."""
-        while self._workshop.has_room and (task := self._next()) is not None:
-            scene = task.work.scene
-            if self._workshop.is_fatal(scene):
-                task.fail("its scene ends every simulator")
-                self._settle(Outcome(done=[task]), now)
-                continue
-            bundle = None if self._workshop.has_scene(scene) else self._scenes.take(scene)
-            self._workshop.put(task, bundle, now)
-
-    def _next(self) -> Task | None:
-        """The next batch whose scene is at hand: first what was begun before, then by turns of the jobs."""
-        while (task := self._workshop.next_again) is not None:
-            if self._is_wanted(task):
-                return task if self._has_scene(task.job, task.work.scene) else None
-            self._workshop.drop(task)
-            self._release(task)
-        desk = None if self._leave.has_begun else self._jobs.turn(self._is_servable)
-        work = None if desk is None else desk.begin()
-        return None if desk is None or work is None else Task(desk.job, work)
-
-    def _is_servable(self, desk: Desk) -> bool:
-        work = desk.next()
-        return work is not None and self._has_scene(desk.job, work.scene)
-
-    def _has_scene(self, job: str, scene: str) -> bool:
-        return self._workshop.has_scene(scene) or self._scenes.has(job, scene)
-
-    def _is_wanted(self, task: Task) -> bool:
-        appointment = self._jobs.get(task.job)
-        return appointment is not None and appointment.desk.holds(task.work.batch)
-
-    def _is_awaited(self, task: Task) -> bool:
-        """Whether somebody is there to hear what becomes of a batch."""
-        appointment = self._jobs.get(task.job)
-        return self._is_wanted(task) and appointment is not None and appointment.alive
-
-    def _release(self, task: Task) -> None:
-        appointment = self._jobs.get(task.job)
-        if appointment is not None:
-            appointment.desk.release(task.work.batch)
-
-    def _settle(self, outcome: Outcome, now: float) -> None:
-        """Send the results of what is done, and hand back what is lost."""
-        for task in outcome.done:
-            if self._is_wanted(task):
-                self._send(task)
-            self._release(task)
-            self._leave.forget(task)
-        for task in outcome.lost:
-            self._hand_back(task, now)
+    # Messages are sent.
 
     def _send(self, task: Task) -> None:
         result = task.result(self.wid)
         key = Keys(task.job).result(self.wid)
         self._bus.put(key, codec.encode(result), encoding=codec.encoding(type(result)))
-
-    def _hand_back(self, task: Task, now: float) -> None:
-        """Let a batch go; the next join, which does not list it, has it evaluated elsewhere."""
-        self._release(task)
-        self._leave.forget(task)
-        appointment = self._jobs.get(task.job)
-        if appointment is not None:
-            appointment.join_later(now, jitter())
-
-    def _take_scene(self, fetched: Fetched, now: float) -> None:
-        """Take a scene; where there is none, its batches fail or are handed back, as the reason wants it."""
-        self._scenes.came(fetched)
-        if isinstance(fetched.bundle, bytes):
-            return
-        reason = fetched.bundle
-        log.warning("a scene cannot be had", job=fetched.job, scene=fetched.scene[:12], reason=str(reason))
-        for task in self._waiting_for(fetched.job, fetched.scene):
-            if isinstance(reason, BusError):
-                self._hand_back(task, now)
-            else:
-                task.fail(str(reason))
-                self._settle(Outcome(done=[task]), now)
-
-    def _waiting_for(self, job: str, scene: str) -> list[Task]:
-        """The batches of a job that cannot be evaluated without a scene, taken from where they wait."""
-        tasks = []
-        while (task := self._workshop.next_again) is not None and (task.job, task.work.scene) == (job, scene):
-            self._workshop.drop(task)
-            tasks.append(task)
-        appointment = self._jobs.get(job)
-        works = appointment.desk.waiting if appointment else []
-        return tasks + [Task(job, work) for work in works if work.scene == scene]
 
     def _show_progress(self, task: Task) -> None:
         """Show, about once a second, that a long batch goes on, if it does; so its lease does not pass."""
