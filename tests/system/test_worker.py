@@ -73,6 +73,13 @@ def test_a_worker_stops_while_it_seeks_a_router(qdgrasp, endpoint, number):
     stop(worker, number)
 
 
+def test_a_simulator_does_not_outlive_its_worker(qdgrasp, endpoint):
+    worker = start(qdgrasp, endpoint)
+    left = simulator(worker)
+    kill(worker.pid)
+    wait_for(lambda: not is_alive(left), "its end")
+
+
 @STOPS
 def test_a_worker_stops_while_a_coordinator_does_not_answer_and_when_its_router_is_gone(
     qdgrasp, endpoint, number
