@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from qdgrasp_assets.scene import Bundle, Scene
-from qdgrasp_coordinator import preparation
+from qdgrasp_coordinator import finding, preparation
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.budget import tally_within
 from qdgrasp_coordinator.folder import RunFolder
@@ -112,14 +112,22 @@ def finished(path: Path, spec: RunSpec) -> Totals | None:
     try:
         with folder.journal() as journal:
             is_reduced = bool(journal.sources)
-        found = None if is_reduced else tally_within(folder, spec)
+        if not is_reduced:
+            return finding.read(folder, spec) or _counted(folder, spec)
     except FolderError:
         return None
-    if found is not None:
-        return Totals.of(found) if found.finished else None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in GOALS):
         raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
     return Totals.told(summary(folder))
+
+
+def _counted(folder: RunFolder, spec: RunSpec) -> Totals | None:
+    """What a run's rows come to, kept for the next time; None while it is not finished."""
+    found = tally_within(folder, spec)
+    if not found.finished:
+        return None
+    finding.write(folder, spec, Totals.of(found))
+    return Totals.of(found)
 
 
 def _share_scene(one: RunSpec, other: RunSpec) -> bool:

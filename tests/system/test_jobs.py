@@ -68,7 +68,7 @@ def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long
 def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
     done = qdgrasp("run", *LONG, "--workers", 2, "--out", "run", "--seconds", 3)
     assert done.code == 0, done.err
-    assert "Its time is over; `qdgrasp resume run` goes on" in done.out
+    assert "It is not finished; `qdgrasp resume run` goes on" in done.out
     again = qdgrasp("resume", "run", "--workers", 2)
     assert again.code == 0, again.err
     assert qdgrasp.digest("run") == long_digest

@@ -84,7 +84,7 @@ def finish(folder: JobFolder, asked: Campaign) -> None:
     """Print what was found."""
     found = CampaignRuns(folder, asked.runs).extent
     if found.runs_done < found.runs:
-        typer.echo(f"Its time is over; {going_on(folder)}")
+        typer.echo(f"Not all runs are finished; {going_on(folder)}")
     typer.echo(
         f"{found.runs_done} of {found.runs} runs with {found.done.evaluations} evaluations: "
         f"{found.done.successes} successes in {found.done.cells} cells, {screened_words(found.done)}. "

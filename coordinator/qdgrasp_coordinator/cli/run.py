@@ -116,7 +116,7 @@ def finish(folder: RunFolder, stop: Stop) -> None:
     found = summary(folder)
     typer.echo(found.words)
     if not found.complete:
-        typer.echo(f"Its time is over; {going_on(folder.job)}")
+        typer.echo(f"It is not finished; {going_on(folder.job)}")
     elif found.evaluations < found.budget:
         typer.echo(f"It ended early: {found.ended}.")
     show_ranking(folder)
