@@ -31,7 +31,7 @@ from qdgrasp_protocol.spec import RunSpec
 START = 100
 """Genomes that scout before any is aimed."""
 SCOUTS = 0.04
-"""The share that scouts later."""
+"""The share of evaluations that scout later, about: of genomes it is less, as nothing refuses scouts."""
 LOST = 2000
 """While there is no success the scouts go astray more and more, half of them after so many genomes."""
 REDRAWN = 0.15
@@ -93,7 +93,7 @@ class Aimed:
         self._frontier.fail(self._aimed_at(rows["genome"][~is_simulated]))
         self._succeed(rows[is_success])
         self._ranker.learn(rows[is_simulated])
-        self._gate.tell(is_simulated)
+        self._gate.tell(is_told)
 
     def _succeed(self, successes: Rows) -> None:
         """Hear of successes; those outside the box are passed over."""
@@ -108,7 +108,8 @@ class Aimed:
         if self._asked < START:
             return np.zeros(0, np.intp)
         generator = draws(self._spec.seed, "targets", generation)
-        n = int(np.count_nonzero(generator.random(self._spec.population) >= SCOUTS))
+        scouts = SCOUTS * self._gate.share
+        n = int(np.count_nonzero(generator.random(self._spec.population) >= scouts))
         best = self._frontier.best(n, generator)
         spare = self._spare.ask(generation, generator)
         left = max(0, min(len(best), n - len(spare)))

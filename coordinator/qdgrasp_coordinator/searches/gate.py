@@ -27,14 +27,17 @@ class Gate:
 
     def __init__(self) -> None:
         self._wanted = WANTED
+        self.share = 1.0
+        """The share of the last generation's genomes that got through, `SHARE` at the least."""
 
     def wanted(self, dead_ends: NDArray[np.int32]) -> Floats:
         """How likely a success must be for a simulation, in cells (n,) with so many dead ends."""
         wanted: Floats = np.maximum(LEAST, self._wanted / (LESS * dead_ends.astype(np.float64) + 1.0))
         return wanted
 
-    def tell(self, simulated: NDArray[np.bool_]) -> None:
-        """Hear which genomes (n,) of a generation were simulated."""
-        is_narrow = np.count_nonzero(simulated) < SHARE * len(simulated)
+    def tell(self, through: NDArray[np.bool_]) -> None:
+        """Hear which genomes (n,) of a generation became evaluations."""
+        is_narrow = np.count_nonzero(through) < SHARE * len(through)
+        self.share = max(SHARE, float(through.mean()))
         wanted = self._wanted * STEP if is_narrow else self._wanted / STEP
         self._wanted = min(WANTED, max(LEAST, wanted))

@@ -44,3 +44,12 @@ def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
     for _ in range(100):
         gate.tell(ALL)
     assert wanted(gate) == pytest.approx(WANTED)
+
+
+def test_it_knows_the_share_that_got_through_lately() -> None:
+    gate = Gate()
+    shares = [gate.share]
+    for through in (NONE, np.arange(50) < 10, ALL):
+        gate.tell(through)
+        shares.append(gate.share)
+    assert shares == [1.0, SHARE, 0.2, 1.0]
