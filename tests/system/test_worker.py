@@ -158,3 +158,9 @@ def test_workers_that_cannot_be_are_not_started_again_and_again(qdgrasp, endpoin
     assert done.returncode == 2
     assert "Nothing answers at" in err
     assert "Traceback" not in err
+
+
+def test_the_doctor_sees_that_a_simulator_works_here(qdgrasp):
+    done = qdgrasp("doctor")
+    assert done.code == 0, done.err + done.out
+    assert "ok      simulator  probe set" in done.out

@@ -82,7 +82,7 @@ def _simulator() -> str:
         raise Trouble(f"the probe set took more than {SIMULATOR_PATIENCE} s.") from None
     if done.returncode:
         raise Trouble((done.stderr.strip().splitlines() or ["the worker ended without a word"])[-1])
-    return f"probe set {json.loads(done.stdout.strip().splitlines()[-1])['probe'][:12]}"
+    return f"probe set {json.loads(done.stdout.strip().splitlines()[-1])['probes'][:12]}"
 
 
 def _disk() -> str:
