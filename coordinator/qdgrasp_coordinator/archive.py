@@ -34,13 +34,13 @@ Box: TypeAlias = tuple[ArrayLike, ArrayLike]
 class Elites:
     """What an archive holds, in the order of its cells."""
 
-    cells: NDArray[np.int64]
-    """(n, 3): where they are."""
+    places: NDArray[np.int64]
+    """(n,): the numbers of their cells, sorted."""
     successful: NDArray[np.bool_]
     """(n,): which of them are successes."""
 
     def __len__(self) -> int:
-        return len(self.cells)
+        return len(self.places)
 
 
 class Archive:
@@ -61,9 +61,8 @@ class Archive:
         _compile_insertion()
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         self._grid = _grid(genes, self._low, self._high)
-        self._order = np.zeros(0, dtype=np.intp)  # of what the grid holds, by the index of its cells
-        self._indices = np.zeros(0, dtype=np.int64)  # of these cells, sorted
-        self._cells = np.zeros((0, 3), dtype=np.int64)  # and where they are
+        self._places = np.zeros(0, dtype=np.int64)
+        self._successful = np.zeros(0, dtype=bool)
 
     def __len__(self) -> int:
         return len(self._grid)
@@ -71,41 +70,39 @@ class Archive:
     @property
     def success_cells(self) -> int:
         """How many cells hold a success."""
-        return int(np.count_nonzero(self._grid.data("objective") > FAILED))
+        return int(np.count_nonzero(self._successful))
 
     @property
     def elites(self) -> Elites:
-        """All elites, by the index of their cells: the same archive gives the same order."""
-        self._sort()
-        return Elites(self._cells, self._grid.data("objective")[self._order] > FAILED)
+        """All elites, by the number of their cells: the same archive gives the same order."""
+        return Elites(self._places, self._successful.copy())
 
-    def genomes(self, cells: NDArray[np.int64]) -> Genomes:
-        """The genomes of the elites in some cells (n, 3), each of which holds one: (n, d)."""
-        _, data = self._grid.retrieve(cells)
+    def genomes(self, places: NDArray[np.int64]) -> Genomes:
+        """The genomes of the elites in the cells with these numbers (n,), each of which holds one: (n, d)."""
+        _, data = self._grid.retrieve(self._low + np.stack(np.unravel_index(places, self._grid.dims), axis=1))
         found: Genomes = data["solution"]
         return found
-
-    def _sort(self) -> None:
-        """Sort cells in that hold their first elite; the grid has them behind those before."""
-        known = len(self._order)
-        if len(self._grid) > known:
-            indices = self._grid.data("index")[known:]
-            new = np.argsort(indices)
-            places = np.searchsorted(self._indices, indices[new])
-            where = np.stack(np.unravel_index(indices[new], self._grid.dims), axis=1) + self._low
-            self._order = np.insert(self._order, places, known + new)
-            self._indices = np.insert(self._indices, places, indices[new])
-            self._cells = np.insert(self._cells, places, where, axis=0)
 
     def insert(self, rows: Rows) -> None:
         """Offer rows, elder ones first; overlaps, dead ends and errors are passed over."""
         valid = taken(rows, rows["outcome"] >= Outcome.MISSED)
-        places = cells(valid["descriptor"][:, :3])
-        inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
+        where = cells(valid["descriptor"][:, :3])
+        inside = ((where >= self._low) & (where <= self._high)).all(axis=1)
         self.outside += int(np.count_nonzero(~inside))
         if inside.any():
             kept = taken(valid, inside)
-            self._grid.add(kept["genome"], _objectives(kept), places[inside])
+            self._grid.add(kept["genome"], _objectives(kept), where[inside])
+            places = np.ravel_multi_index(tuple((where[inside] - self._low).T), tuple(self._grid.dims))
+            self._note(places, kept["outcome"] >= Outcome.DROPPED)
+
+    def _note(self, places: NDArray[np.int64], successful: NDArray[np.bool_]) -> None:
+        """Note which cells were offered what: each keeps the first, and a success once it has one."""
+        offered = np.unique(places)
+        at = np.searchsorted(self._places, offered)
+        new = np.append(self._places, -1)[at] != offered
+        self._places = np.insert(self._places, at[new], offered[new])
+        self._successful = np.insert(self._successful, at[new], False)
+        self._successful[np.searchsorted(self._places, places[successful])] = True
 
 
 def _objectives(valid: Rows) -> NDArray[np.float32]:

@@ -39,7 +39,7 @@ class MapElites:
             return uniform(spec.seed, generation, spec.population, self._genes)
         picks = self._select(elites, spec.population, draws(spec.seed, "parents", generation))
         return mutate(
-            self.archive.genomes(elites.cells[picks]),
+            self.archive.genomes(elites.places[picks]),
             spec.mutation_sigma,
             spec.mutation_probability,
             draws(spec.seed, "mutation", generation),

@@ -13,7 +13,7 @@ def elites(n: int, successes: int) -> Elites:
     """n elites, of which some, spread over the archive, are successful."""
     successful = np.zeros(n, dtype=bool)
     successful[np.random.default_rng(n).permutation(n)[:successes]] = True
-    return Elites(np.zeros((n, 3), dtype=np.int64), successful)
+    return Elites(np.arange(n), successful)
 
 
 def generator(seed: int = 0) -> np.random.Generator:
