@@ -1,5 +1,6 @@
-"""Why a router cannot be reached, found out by one more try with nothing but a socket."""
+"""Why a session could not be opened, in a sentence; found out by one more try with nothing but a socket."""
 
+import re
 import socket
 from collections.abc import Sequence
 from contextlib import suppress
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
     import ssl
 
 DOUBT = "; is the coordinator or router running there, and the port reachable? Name another with --connect."
+SYSTEM_ERROR = re.compile(r"([A-Z][a-z ]+) \(os error")
+SOURCE_PLACE = re.compile(r" at /\S+\.rs:[0-9]+\.?")
+MOST = 300
+"""The most characters that are repeated of what zenoh says."""
 PATIENCE = 2.0  # seconds that the other side may take for one step
 HESITATION = 0.5  # seconds in which it says whether it takes our certificate; it waits for us to speak first
 
@@ -38,6 +43,32 @@ class Unreachable(EndpointError):
         known = " ".join(filter(None, reasons))
         silent = f"Nothing answers at {names} after {seconds:g} s{DOUBT}"
         super().__init__(f"No session at {names}: {known}" if known else silent)
+
+
+class NotListening(EndpointError):
+    """A router cannot listen.
+
+    Parameters
+    ----------
+    endpoint
+        Where.
+    error
+        What zenoh says.
+    """
+
+    def __init__(self, endpoint: str, error: str) -> None:
+        why = SYSTEM_ERROR.search(error)
+        if why:
+            super().__init__(
+                f"Cannot listen on {endpoint}: {why[1].lower()}; name another endpoint with --listen."
+            )
+        else:
+            super().__init__(f"Cannot listen on {endpoint}: zenoh says '{plain(error)}'.")
+
+
+def plain(error: str) -> str:
+    """What zenoh says, without the places in its source, on one line."""
+    return " ".join(SOURCE_PLACE.sub("", error).split())[:MOST].rstrip(".")
 
 
 def why_not(endpoint: Endpoint, credentials: Credentials) -> str:

@@ -1,7 +1,6 @@
 """The bus over Eclipse Zenoh: the one module that imports zenoh."""
 
 import json
-import re
 import socket
 import time
 from collections.abc import Callable
@@ -23,10 +22,10 @@ from qdgrasp_protocol.bus import (
     ValuesHandler,
     reason_of,
 )
-from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.credentials import Credentials
 from qdgrasp_protocol.endpoint import check_open, home, parse_all
-from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
-from qdgrasp_protocol.handshake import Unreachable
+from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused, SecurityError
+from qdgrasp_protocol.handshake import NotListening, Unreachable, plain
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.session import Mode, Settings, settings
@@ -107,7 +106,7 @@ class ZenohBus(Bus):
             left = min(SLICE, max(0.0, deadline - time.monotonic()))
             chosen = settings("client", connect=endpoints, credentials=credentials, seconds=left)
             try:
-                return cls(zenoh.open(_config(chosen)), "client")
+                return cls(zenoh.open(_config(chosen, zenoh.Config())), "client")
             except zenoh.ZError:
                 if time.monotonic() >= deadline:
                     raise Unreachable(endpoints, deadline_seconds, credentials) from None
@@ -139,20 +138,19 @@ class ZenohBus(Bus):
         EndpointError
             The port is taken, the address is not ours, strangers could get there, or the text is not
             an endpoint.
+        SecurityError
+            The router's file is no configuration, or has no access list.
         """
         listening = parse_all(endpoint)
         for place in listening:
             check_open(place, insecure=insecure)
         others = parse_all(connect) if connect is not None else ()
         chosen = settings("router", listen=listening, connect=others, credentials=credentials)
+        config = _config(chosen, _guarded(credentials) if credentials else zenoh.Config())
         try:
-            return cls(zenoh.open(_config(chosen, credentials)), "router")
+            return cls(zenoh.open(config), "router")
         except zenoh.ZError as error:
-            reason = re.search(r"([A-Z][a-z ]+) \(os error", str(error))
-            why = reason[1].lower() if reason else "zenoh refuses it"
-            raise EndpointError(
-                f"Cannot listen on {endpoint}: {why}; name another endpoint with --listen."
-            ) from None
+            raise NotListening(endpoint, str(error)) from None
 
     @classmethod
     def embedded(
@@ -298,13 +296,25 @@ class ZenohBus(Bus):
             raise BusError(f"The bus refuses: {error}.") from None
 
 
-def _config(chosen: Settings, credentials: Credentials | None = None) -> zenoh.Config:
-    """A configuration with these settings, over those of a router's file, which hold its access list."""
-    config = zenoh.Config()
-    if credentials is not None and credentials.role is Role.ROUTER:
-        config = zenoh.Config.from_json5(credentials.configuration.read_text())
+def _config(chosen: Settings, config: zenoh.Config) -> zenoh.Config:
+    """A configuration with these settings over what it holds."""
     for name, value in chosen.items():
         config.insert_json5(name, json.dumps(value))
+    return config
+
+
+def _guarded(credentials: Credentials) -> zenoh.Config:
+    """What a router's file holds, with its access list."""
+    path = credentials.configuration
+    try:
+        config = zenoh.Config.from_json5(path.read_text())
+        guard = json.loads(config.get_json("access_control"))
+    except (OSError, ValueError, zenoh.ZError) as error:
+        raise SecurityError(f"{path} is not a configuration that zenoh takes: {plain(str(error))}.") from None
+    if not (guard["enabled"] and guard["default_permission"] == "deny"):
+        raise SecurityError(
+            f"{path} does not deny what it does not allow; `qdgrasp security init` writes a file that does."
+        )
     return config
 
 

@@ -47,7 +47,8 @@ def test_jobs_are_seen_and_cancelled_with_the_admins_certificate_and_no_other(qd
     home = SecurityFolder.create(qdgrasp.home / "security", hosts=["127.0.0.1"], days=1)
     monitor = home.add(Role.MONITOR, "screen", hosts=["127.0.0.1"], days=1)
     endpoint = own_endpoint().replace("tcp/", "tls/")
-    flags = ("--workers", 0, "--listen", endpoint, "--out", "mugs")
+    everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - links are encrypted
+    flags = ("--workers", 0, "--listen", everywhere, "--out", "mugs")
     running = qdgrasp.start("run", *SMALL, *flags, QDGRASP_SECURITY=str(home.path))
     ask = ("jobs", "--json", "--connect", endpoint)
 

@@ -52,7 +52,7 @@ class SecurityFolder:
         Raises
         ------
         SecurityError
-            There is something at `path` already.
+            There is something at `path` already, or it cannot be written.
         """
         check_hosts(hosts)
         if path.exists() and any(path.iterdir() if path.is_dir() else [path]):
@@ -60,10 +60,9 @@ class SecurityFolder:
                 f"{path} is there already, and nothing in it is overwritten: name another folder, or add "
                 f"to it with `qdgrasp security add {path} ROLE NAME`."
             )
-        path.mkdir(parents=True, exist_ok=True)
-        path.chmod(PRIVATE_FOLDER)
         made = cls(path)
         root = authority.found(max(days, AUTHORITY_DAYS))
+        _make(path)
         write(path / "ca.pem", root.certificate_pem)
         write(path / "ca.key", root.key_pem)
         for role in Role:
@@ -102,7 +101,7 @@ class SecurityFolder:
         root, place = self.authority, self.path / name
         if place.exists():
             raise SecurityError(f"{place} is there already; choose another name.")
-        place.mkdir(mode=PRIVATE_FOLDER)
+        _make(place)
         write(place / "ca.pem", root.certificate_pem)
         self._issue(place, root, role, hosts, days, name)
         return place
@@ -138,7 +137,25 @@ def check_hosts(hosts: Sequence[str]) -> None:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file that is there for the first time, readable by its owner only from the start."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(content)
+    """Write a file that is there for the first time, readable by its owner only from the start.
+
+    Raises
+    ------
+    SecurityError
+        It cannot be written.
+    """
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+    except OSError as error:
+        raise SecurityError(f"{path} cannot be written: {error.strerror}.") from None
+
+
+def _make(path: Path) -> None:
+    """Make a folder that only its owner can look into."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        path.chmod(PRIVATE_FOLDER)
+    except OSError as error:
+        raise SecurityError(f"{path} cannot be made: {error.strerror}.") from None

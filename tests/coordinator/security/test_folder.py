@@ -91,6 +91,12 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()} == before
 
 
+def test_what_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(SecurityError, match="cannot be made"):
+        SecurityFolder.create(tmp_path / "file" / "security", hosts=HOSTS, days=1)
+
+
 def test_a_folder_for_one_node_holds_what_it_needs_and_nothing_else(tmp_path: Path) -> None:
     place = made(tmp_path).add(Role.WORKER, "lab-7", hosts=HOSTS, days=1)
     assert {path.name for path in place.iterdir()} == {"ca.pem", "worker.pem", "worker.key", "worker.json5"}

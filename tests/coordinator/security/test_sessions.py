@@ -1,6 +1,8 @@
 """Sessions over mutual TLS: who gets one, and what is said where there is none."""
 
 import shutil
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -13,12 +15,13 @@ from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_coordinator.security.stage import stranger
 from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.endpoint import Endpoint
-from qdgrasp_protocol.errors import EndpointError
+from qdgrasp_protocol.errors import EndpointError, SecurityError
 from qdgrasp_protocol.handshake import why_not
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 SOON = 10.0  # seconds that anything may take that is to happen
 LAST = 100
+Change = Callable[[Path], object]
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -95,3 +98,53 @@ def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
                 recorder.put(key, bytes(size), encoding="application/octet-stream")
             sizes.append(heard.get(timeout=SOON))
     assert set(sizes) <= {4096, LAST}
+
+
+def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured: str, folder: Path) -> None:
+    links = SimpleQueue[bool]()
+    issued = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=3)
+    ours = SecurityFolder(folder).authority
+    with (
+        stranger(ours, Role.WORKER.common_name, now=issued) as shown,
+        ZenohBus.connect(secured, SOON, credentials=shown) as worker,
+        worker.on_link(links.put),
+    ):
+        assert links.get(timeout=SOON) is False
+
+
+def other(name: str) -> Change:
+    """Another role's file in the place of the router's."""
+    return lambda folder: shutil.copy(folder / f"worker.{name}", folder / f"router.{name}")
+
+
+def text(name: str, old: str, new: str) -> Change:
+    """Something else in the router's configuration."""
+
+    def change(folder: Path) -> None:
+        said = (folder / name).read_text()
+        assert old in said
+        (folder / name).write_text(said.replace(old, new))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (other("key"), "Cannot listen on .*: zenoh says '.*KeyMismatch'"),
+        (text("router.json5", '"enabled": true', '"enabled": false'), "does not deny what it does not allow"),
+        (text("router.json5", '"deny"', '"allow"'), "does not deny what it does not allow"),
+        (text("router.json5", '"put"', '"pud"'), "is not a configuration that zenoh takes: unknown variant"),
+        (text("router.json5", "{", "["), "is not a configuration that zenoh takes"),
+        (text("router.json5", '"id": "worker gives (put)"', '"id": "x"'), "Access control not enabled"),
+    ],
+)
+def test_a_router_with_a_damaged_folder_does_not_open(
+    folder: Path, tmp_path: Path, change: Change, words: str
+) -> None:
+    damaged = Path(shutil.copytree(folder, tmp_path / "damaged"))
+    change(damaged)
+    with pytest.raises((EndpointError, SecurityError), match=words) as caught:
+        ZenohBus.router(encrypted_endpoint(), credentials=Credentials.find(damaged, Role.ROUTER))
+    assert ".cargo" not in str(caught.value)
+    assert "\n" not in str(caught.value)
