@@ -1,5 +1,6 @@
 """The watch over a job's processes: what a death means, and who is started again."""
 
+import signal
 from collections import Counter
 from collections.abc import Callable
 
@@ -10,7 +11,11 @@ from qdgrasp_protocol.errors import EndedEarly, InputError
 
 COORDINATOR = "coordinator"
 TRIES = 5
-"""So often one process may die in a row while the job does not get any further."""
+"""So often one process may die in a row by itself while the job does not get any further."""
+KILLS = 20
+"""So often it may be killed from outside meanwhile."""
+OUTSIDE = {-signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM}
+"""How a process ends that somebody, or the kernel, has killed."""
 
 
 class Watch:
@@ -89,10 +94,11 @@ class Watch:
 
     def _count(self, death: Death) -> None:
         self._deaths[death.name] += 1
-        if self._deaths[death.name] > TRIES:
+        most = KILLS if death.exit_code in OUTSIDE else TRIES
+        if self._deaths[death.name] > most:
             words = self._crew.last_words(death.name)
             raise EndedEarly(
-                f"The {death.name} died {TRIES + 1} times while the job got no further; "
+                f"The {death.name} died {most + 1} times while the job got no further; "
                 f"the last time it {death.words}. {words}".strip()
             )
 

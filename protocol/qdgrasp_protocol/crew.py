@@ -22,7 +22,7 @@ GRACE = 2.0  # seconds that a process may take to stop before it is killed
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Each process works on one core."""
-STEADY = 30.0  # seconds of life after which the next death starts from the first back-off again
+STEADY = 5.0  # seconds of life after which the next death starts from the first back-off again
 
 
 @dataclass

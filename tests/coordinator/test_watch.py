@@ -3,7 +3,7 @@
 import pytest
 from tests.coordinator.test_overview import figures
 
-from qdgrasp_coordinator.watch import TRIES, Watch
+from qdgrasp_coordinator.watch import KILLS, TRIES, Watch
 from qdgrasp_protocol.crew import Death
 from qdgrasp_protocol.errors import EndedEarly, InputError
 
@@ -82,6 +82,15 @@ def test_who_dies_again_and_again_while_nothing_goes_on_ends_the_job(name: str) 
         staff.dies(name, -11)
 
 
+def test_who_is_killed_from_outside_is_started_again_more_often() -> None:
+    staff = Staff()
+    for _ in range(KILLS):
+        staff.dies("coordinator", -9)
+        staff.waits(20)
+    with pytest.raises(EndedEarly, match=f"The coordinator died {KILLS + 1} times"):
+        staff.dies("coordinator", -9)
+
+
 def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
     staff = Staff()
     for n in range(10 * TRIES):
@@ -96,10 +105,10 @@ def test_replaying_what_was_found_before_is_no_progress() -> None:
     staff.watch.progressed(figures(evaluations=100))
     for n in range(TRIES):
         staff.watch.progressed(figures(evaluations=n))
-        staff.dies("coordinator", -9)
+        staff.dies("coordinator", -11)
         staff.waits(20)
     with pytest.raises(EndedEarly):
-        staff.dies("coordinator", -9)
+        staff.dies("coordinator", -11)
 
 
 def test_a_worker_that_ended_well_was_asked_to_leave_and_stays_away() -> None:
