@@ -69,7 +69,7 @@ class Backlog:
         Parameters
         ----------
         workers
-            Workers that share what is left of a generation.
+            Workers that share the runs.
         """
         queue = self._queues[run]
         batch = queue.take_back() or self._cut_batch(queue, workers)
@@ -97,7 +97,7 @@ class Backlog:
     def _cut_batch(self, queue: "_Queue", workers: int) -> Batch:
         """A new batch of the oldest generation."""
         chunk = queue.chunks.popleft()
-        n = queue.pace.rows(len(chunk), workers)
+        n = queue.pace.rows(len(chunk), workers, len(self._queues))
         if n < len(chunk):
             queue.chunks.appendleft(chunk.part(b"", slice(n, None)))
         return chunk.part(self._new_id(), slice(n))

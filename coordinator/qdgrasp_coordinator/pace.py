@@ -1,12 +1,14 @@
 """Pace: how many rows make a batch, and how long a lease may take, from what was measured."""
 
 from collections import deque
-from math import ceil
+from math import ceil, sqrt
 
 BATCH_SECONDS = 0.25
 """What a batch is to take on a worker."""
 LEAST_SECONDS = 0.02
 """Sharing the end of a generation makes no batches that take less."""
+HANDLING_SECONDS = 50e-6
+"""What a batch takes of the coordinator's one thread."""
 FIRST_ROWS = 4
 """Rows in a batch while nothing is known about their cost."""
 MOST_ROWS = 512
@@ -42,7 +44,7 @@ class Pace:
         self._seconds = _MEMORY * self._seconds + cpu_seconds
         self._rows = _MEMORY * self._rows + rows
 
-    def rows(self, remaining: int, workers: int) -> int:
+    def rows(self, remaining: int, workers: int, runs: int = 1) -> int:
         """Rows in the next batch.
 
         Parameters
@@ -50,16 +52,24 @@ class Pace:
         remaining
             Rows of the generation that are not leased; at least 1.
         workers
-            Workers that share them: none is to get more than its part of half of them, so that all of them
-            are done at about the same time.
+            Workers that share these and as many rows of the other runs: none is to get more than its part of
+            half of them, so that all of them are done at about the same time.
+        runs
+            How many runs are under way; at least 1.
         """
         if self._fixed is not None:
             return min(self._fixed, remaining)
         cost = self.seconds_per_row
         wanted = FIRST_ROWS if cost is None else _within(BATCH_SECONDS, cost)
-        least = 1 if cost is None else _within(LEAST_SECONDS, cost)
-        share = ceil(remaining / (2 * max(workers, 1)))
+        least = 1 if cost is None else self._least(remaining * runs, workers, cost)
+        share = ceil(remaining * runs / (2 * max(workers, 1)))
         return min(remaining, max(least, min(wanted, share)))
+
+    def _least(self, rows: int, workers: int, cost: float) -> int:
+        """As few rows as are worth a batch: handing all of them out is to take no longer than doing them."""
+        handling = HANDLING_SECONDS / max(cost, 1e-9)
+        worth = min(sqrt(rows * handling), workers * handling)
+        return max(_within(LEAST_SECONDS, cost), min(MOST_ROWS, int(worth)))
 
 
 def _within(seconds: float, cost: float) -> int:

@@ -85,3 +85,18 @@ def test_patience_forgets_what_was_long_ago() -> None:
     for seconds in [60.0] * 300 + [0.1] * 300:
         patience.measure(seconds)
     assert patience.limit == LEASE_SECONDS
+
+
+def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:
+    pace = Pace()
+    pace.measure(10, 0.2)
+    assert pace.rows(500, 1000, runs=100) == 12  # 0.25 s, less than a half of the part of each of ten workers
+    assert pace.rows(500, 1000, runs=16) == 4
+    assert pace.rows(500, 1000) == 1
+
+
+def test_no_batch_is_so_small_that_handing_them_out_takes_longer_than_the_work() -> None:
+    pace = Pace()
+    pace.measure(1000, 0.05)  # 50 us a row, as much as handing a batch out
+    assert pace.rows(10_000, 1000) >= 100
+    assert pace.rows(10_000, 1) == 512
