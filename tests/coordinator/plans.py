@@ -64,7 +64,7 @@ CHAIN = Task(Chain, evaluate, SHAPE)
 
 @dataclass(frozen=True)
 class Plan:
-    """A history in brief. Probabilities are per message, rates per second."""
+    """A run in brief."""
 
     seed: int = 0
     population: int = 6
@@ -74,33 +74,6 @@ class Plan:
     trials: int = 0
     successes: int | None = None
     no_new_cell: int | None = None
-    batch_size: int | None = 2
-    workers: int = 2
-    credit: int = 2
-    row_seconds: float = 0.05
-    delay: float = 0.02
-    loss: float = 0.0
-    repeat: float = 0.0
-    stall: float = 0.0
-    """The probability that a message is delayed by up to 15 seconds."""
-    hiccup: float = 0.0
-    """The probability that the simulator fails on a row that is no poison, at most twice a row."""
-    flap: float = 0.0
-    """A worker's link goes down and comes up."""
-    kill: float = 0.0
-    """A worker dies and is replaced."""
-    zombie: float = 0.0
-    """A worker keeps its token, its work, and its peace, and is replaced by another; it may wake up."""
-    link: float = 0.0
-    """The coordinator's link goes down and comes up."""
-    crash: float = 0.0
-    """The coordinator dies and is started again."""
-    recorder_crash: float = 0.0
-    """The recorder dies with what it has not committed, and is started again."""
-    restore: float = 0.0
-    """The recorder comes back with an older disk."""
-    calm_after: float = 60.0
-    """Faults with a rate stop at this time."""
     task: Task = CHAIN
 
     def __str__(self) -> str:

@@ -1,6 +1,6 @@
 """Who is leased which rows: credit and fairness (rule 1 of docs/bus.md).
 
-Rules 3 to 6 are in `test_dispatch_fence` and `test_dispatch_settling`; `test_histories` mixes all of them.
+Rules 3 to 6 are in `test_dispatch_fence` and `test_dispatch_settling`; tests/simulation mixes all of them.
 """
 
 from math import inf

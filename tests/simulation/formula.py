@@ -8,7 +8,7 @@ from signal import SIGABRT, SIGKILL
 from typing import TYPE_CHECKING
 
 import numpy as np
-from tests.coordinator.plans import SHAPE, evaluate
+from tests.coordinator.plans import Task
 
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.outcome import Outcome
@@ -59,12 +59,17 @@ class Formula:
     ----------
     host
         The worker's process.
+    task
+        What it evaluates.
     hear
         Takes its news.
     """
 
-    def __init__(self, host: "Process", speed: Speed, mishaps: Mishaps, hear: Callable[[News], None]) -> None:
+    def __init__(
+        self, host: "Process", task: Task, speed: Speed, mishaps: Mishaps, hear: Callable[[News], None]
+    ) -> None:
         self._host = host
+        self._task = task
         self._speed = speed
         self._mishaps = mishaps
         self._hear = hear
@@ -133,10 +138,10 @@ class Formula:
 
     def _finish(self, batch: Evaluate, start: int, n: int) -> None:
         self._steps += n
-        rows = SHAPE.empty(batch.n)
+        rows = self._task.shape.empty(batch.n)
         rows["genome"] = np.frombuffer(batch.columns["genome"], "<f4").reshape(batch.n, batch.genes)
         rows["trial"] = np.frombuffer(batch.columns["trial"], "<u2")
-        found = evaluate(rows[start : start + n])
+        found = self._task.evaluate(rows[start : start + n])
         failed = [place for place, row in enumerate(found) if self._fails(row)]
         ends = [place for place in failed if found["genome"][place, 1] > 0]
         if ends:
@@ -149,11 +154,11 @@ class Formula:
         return bool(row["outcome"] == Outcome.ERROR) or self._mishaps.strikes(row)
 
     def _part(self, found: Rows, failed: list[int]) -> Part:
-        found[failed] = np.zeros((), SHAPE.dtype)
+        found[failed] = np.zeros((), found.dtype)
         return Part(
             n=len(found),
-            joints=SHAPE.joints,
-            descriptors=SHAPE.descriptors,
+            joints=self._task.shape.joints,
+            descriptors=self._task.shape.descriptors,
             columns=pack(found, RESULT),
             failures=[Failure(row=place, reason="it raised") for place in failed],
             cpu_seconds=len(found) * self._speed.row_seconds,

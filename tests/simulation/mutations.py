@@ -22,10 +22,11 @@ from qdgrasp_coordinator.dispatch import Dispatch
 from qdgrasp_coordinator.generation import Slot
 from qdgrasp_coordinator.holding import Holding
 from qdgrasp_coordinator.intake import Intake, Verdict
+from qdgrasp_coordinator.member import Member
 from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_coordinator.reports import Reports
-from qdgrasp_coordinator.roster import Member, Overdue, Roster
+from qdgrasp_coordinator.roster import Overdue, Roster
 from qdgrasp_coordinator.scribe import Scribe
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_coordinator.tickets import Stub, Tickets

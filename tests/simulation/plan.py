@@ -90,6 +90,8 @@ def _run(chance: random.Random, seed: int, many: bool) -> Plan:
         overlaps=chance.choice(["count", "count", "count", "redraw"]),
         in_flight=chance.choice([1, 1, 2, 3]),
         trials=chance.choice([0, 0, 0, 2, 4]),
+        successes=chance.choice([None, None, None, 5]),
+        no_new_cell=chance.choice([None, None, None, 8]),
     )
 
 

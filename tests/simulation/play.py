@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from unittest.mock import patch
 
 import structlog
+from tests.simulation.coordinator import Coordinator
 from tests.simulation.faults import Faults
 from tests.simulation.plan import History, draw
 from tests.simulation.searching import Violated
@@ -33,6 +34,9 @@ class Verdict:
     """How long it took in its world."""
     events: int = 0
     counters: dict[str, int] = field(default_factory=dict)
+    """What the last coordinator's dispatch counted."""
+    journals: dict[str, bytes] = field(default_factory=dict)
+    """What is on the disk of each run."""
     trace: list[str] = field(default_factory=list)
 
 
@@ -79,4 +83,7 @@ def _play(history: History, trace: bool) -> Verdict:
         verdict.violated = Violated("no machine fails", f"{type(error).__name__}: {error}")
         verdict.violated.__cause__ = error
     verdict.seconds, verdict.events, verdict.trace = world.now, world.events, world.trace or []
+    coordinators = stage.of(Coordinator, living=False)
+    verdict.counters = coordinators[-1].turn.dispatch.counters if coordinators else {}
+    verdict.journals = {run: paper.journal for run, paper in stage.disk.papers.items()}
     return verdict

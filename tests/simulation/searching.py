@@ -1,7 +1,8 @@
 """A search that notices when it is asked or told out of order."""
 
-from tests.coordinator.plans import Chain, Plan
+from collections import deque
 
+from qdgrasp_coordinator.search import Search
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 
@@ -22,26 +23,37 @@ class Violated(AssertionError):
         self.invariant = invariant
 
 
-class WatchedChain(Chain):
-    """`Chain`, whose asks depend on every bit of its tells; it also insists on their order."""
+class Watched:
+    """A search that insists on the order in which it is asked and told.
 
-    def __init__(self, plan: Plan) -> None:
-        super().__init__(plan.population, plan.seed)
-        self._in_flight = plan.in_flight
-        self._count = 0
-        self._heard = 0
+    Parameters
+    ----------
+    search
+        The search itself.
+    in_flight
+        How many generations may be asked and not told.
+    """
+
+    def __init__(self, search: Search, in_flight: int) -> None:
+        self._search = search
+        self._in_flight = in_flight
+        self._asked: deque[int] = deque()
+        """How many genomes the generations have that are asked and not told."""
+        self._told = 0
 
     def ask(self, generation: int) -> Genomes:
         """Generation g is asked when generation g - L has been told."""
-        if generation != self._count or generation - self._heard >= self._in_flight:
-            raise Violated("told in order", f"asked {generation} with {self._heard} told")
-        self._count += 1
-        return super().ask(generation)
+        is_next = generation == self._told + len(self._asked) and len(self._asked) < self._in_flight
+        if not is_next:
+            raise Violated("told in order", f"asked {generation} with {self._told} told")
+        genomes = self._search.ask(generation)
+        self._asked.append(len(genomes))
+        return genomes
 
     def tell(self, generation: int, rows: Rows) -> None:
         """Generations in order, each once and whole, by index."""
-        whole = rows["index"].tolist() == list(range(self._population))
-        if generation != self._heard or not whole or (rows["generation"] != generation).any():
-            raise Violated("told in order", f"told {generation} after {self._heard - 1}, {rows['index']}")
-        self._heard += 1
-        super().tell(generation, rows)
+        whole = bool(self._asked) and rows["index"].tolist() == list(range(self._asked.popleft()))
+        if generation != self._told or not whole or (rows["generation"] != generation).any():
+            raise Violated("told in order", f"told {generation} after {self._told - 1}, {rows['index']}")
+        self._told += 1
+        self._search.tell(generation, rows)

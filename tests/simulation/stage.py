@@ -5,7 +5,7 @@ from functools import lru_cache
 from math import inf
 from typing import TYPE_CHECKING, TypeVar
 
-from tests.coordinator.plans import SHAPE, Plan, reference
+from tests.coordinator.plans import Plan, reference
 from tests.simulation.coordinator import Coordinator
 from tests.simulation.formula import Mishaps, Speed
 from tests.simulation.network import Network
@@ -13,12 +13,13 @@ from tests.simulation.paper import Disk
 from tests.simulation.plan import History
 from tests.simulation.process import Process
 from tests.simulation.recorder import Recorder
-from tests.simulation.searching import WatchedChain
+from tests.simulation.searching import Watched
 from tests.simulation.worker import Forger, Worker
 from tests.simulation.world import World
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.assignment import Assignment
+from qdgrasp_coordinator.goals import Goals
 from qdgrasp_coordinator.pipeline import Pipeline
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -46,11 +47,15 @@ class Stage:
         self.disk = Disk()
         self.mishaps = Mishaps(self.world.chance, history.hiccup)
         self.processes: list[Process] = []
+        self.task = history.runs[0].task
+        """What is evaluated, the same in all runs."""
         names = ["run"] if len(history.runs) == 1 else [f"run-{n}" for n in range(len(history.runs))]
         self.plans = dict(zip(names, history.runs, strict=True))
         self.journals = {run: journal_of(plan) for run, plan in self.plans.items()}
         """What each run's journal is to be."""
-        self.lengths = {run: len(journal) // SHAPE.dtype.itemsize for run, journal in self.journals.items()}
+        self.lengths = {
+            run: len(journal) // self.task.shape.dtype.itemsize for run, journal in self.journals.items()
+        }
         self.is_done = False
         """A coordinator has carried out all runs."""
         self.is_calm = False
@@ -120,7 +125,7 @@ class Stage:
         speed = Speed(
             history.row_seconds * slowness / history.spread**0.5, self.world.chance.choice([1, 2, 16])
         )
-        self.processes.append(Worker(self.world, self.network, wid, self.mishaps, speed))
+        self.processes.append(Worker(self.world, self.network, wid, self.task, self.mishaps, speed))
 
     def start_recorder(self) -> None:
         """Start a recorder; while another one holds the folder it waits."""
@@ -163,9 +168,11 @@ class Stage:
         """A run, with a new search."""
         plan, digest = self.plans[run], hashlib.sha256(run.encode()).hexdigest()
         spec = to_toml(RunSpec(gripper="hand", object="thing", seed=plan.seed, evaluations=plan.evaluations))
-        search = WatchedChain(plan)
-        pipeline = Pipeline(search, SHAPE, plan.evaluations, plan.overlaps, plan.in_flight, plan.trials)
-        return Assignment(run, spec.encode(), Bundle(b"", digest), "none", SHAPE, pipeline, plan.evaluations)
+        search, shape = Watched(plan.task.search(plan.population, plan.seed), plan.in_flight), self.task.shape
+        goals = Goals(plan.successes, plan.no_new_cell)
+        budget = (plan.evaluations, plan.overlaps, plan.in_flight, plan.trials)
+        pipeline = Pipeline(search, shape, *budget, goals)
+        return Assignment(run, spec.encode(), Bundle(b"", digest), "none", shape, pipeline, plan.evaluations)
 
     # What has ended is started again.
 

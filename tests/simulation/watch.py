@@ -8,19 +8,20 @@ from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
-from tests.coordinator.plans import SHAPE, evaluate
+from tests.coordinator.plans import Task
 from tests.simulation.coordinator import Coordinator
 from tests.simulation.recorder import Recorder
 from tests.simulation.searching import Violated
 from tests.simulation.stage import Stage
 from tests.simulation.worker import CREDIT, Worker
 
-from qdgrasp_coordinator import intake, outbox, pace, roster, tickets
+from qdgrasp_coordinator import intake, outbox, pace, tickets
 from qdgrasp_coordinator.batch import Batch, Lease, Settled, Settlement
 from qdgrasp_coordinator.books import Books
 from qdgrasp_coordinator.dispatch import Dispatch, Lost
 from qdgrasp_coordinator.intake import Verdict
 from qdgrasp_coordinator.lane import Lane
+from qdgrasp_coordinator.member import SCENES
 from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_protocol.messages import Recordable, Recorded, Result
@@ -67,8 +68,9 @@ def require(holds: bool, invariant: str, *words: object) -> None:
 class TurnWatch:
     """Watches the dispatch of one turn: what goes in, and what comes out."""
 
-    def __init__(self, host: Coordinator) -> None:
+    def __init__(self, host: Coordinator, task: Task) -> None:
         self._host = host
+        self._task = task
         self._leased: dict[bytes, set[str]] = {}
         self._settled: set[bytes] = set()
         self.outstanding: set[Key] = set()
@@ -131,10 +133,12 @@ class TurnWatch:
         return settled
 
     def _check_rows(self, run: str, rows: Rows) -> None:
-        asked = SHAPE.empty(len(rows))
+        asked = self._task.shape.empty(len(rows))
         for column in ("generation", "index", "trial", "genome"):
             asked[column] = rows[column]
-        require(evaluate(asked).tobytes() == rows.tobytes(), "settled once", "with other rows:", rows)
+        require(
+            self._task.evaluate(asked).tobytes() == rows.tobytes(), "settled once", "with other rows:", rows
+        )
         keys = set(
             zip([run] * len(rows), *(rows[c].tolist() for c in ("generation", "index", "trial")), strict=True)
         )
@@ -178,7 +182,7 @@ class TurnWatch:
         """Check credit, and how much is remembered."""
         dispatch = self._dispatch
         for member in dispatch.members:
-            require(len(member.scenes) <= roster.SCENES, "bounded memory", "scenes")
+            require(len(member.scenes) <= SCENES, "bounded memory", "scenes")
         require(len(dispatch._tickets._open) <= len(self.outstanding), "bounded memory", "open tickets")
         require(len(dispatch._tickets._settled) <= tickets.REMEMBERED, "bounded memory", "settled tickets")
         require(len(dispatch._roster.patience._turns) <= pace._TURNS, "bounded memory", "turns")
@@ -217,7 +221,7 @@ class Watch:
         if not self._stage.disk.was_restored:
             require(epoch not in self._epochs, "epochs rise", f"{epoch} is used twice")
         self._epochs.add(epoch)
-        self._turns[host.name] = TurnWatch(host)
+        self._turns[host.name] = TurnWatch(host, self._stage.task)
 
     def opened(self, books: Books) -> None:
         """Hear that a recorder keeps the books; watches what it takes."""
@@ -253,7 +257,7 @@ class Watch:
         self._look_at_progress()
 
     def _look_at_disk(self) -> None:
-        size, disk = SHAPE.dtype.itemsize, self._stage.disk
+        size, disk = self._stage.task.shape.dtype.itemsize, self._stage.disk
         for run, paper in disk.papers.items():
             done = min(self._checked.get(run, 0), len(paper.stretches))
             for place in range(done, len(paper.stretches)):
@@ -286,7 +290,8 @@ class Watch:
     def _look_at_lane(self, lane: Lane) -> None:
         """Check what the outbox keeps."""
         assert isinstance(lane.record, RecorderLink)
-        box, plan, size = lane.record._outbox, self._stage.plans[lane.run], SHAPE.dtype.itemsize
+        box, plan = lane.record._outbox, self._stage.plans[lane.run]
+        size = self._stage.task.shape.dtype.itemsize
         most = plan.in_flight * plan.population * (1 + plan.trials)
         require(box.unconfirmed <= outbox.BOUND + most, "bounded memory", "outbox:", box.unconfirmed)
         require(
@@ -330,9 +335,8 @@ class Watch:
             number, listed = self._listed[worker.wid] = (desk.number, set(desk.held))
         for batch, work in desk._held.items():
             is_fenced = work.join == number or batch in listed
-            require(
-                is_fenced, "fenced", worker.name, f"holds work of join {work.join}, has joined {number} times"
-            )
+            require(is_fenced, "fenced", worker.name, "holds work of join", work.join, "of", number)
+            require(work.epoch == desk.epoch, "fenced", worker.name, "holds work of epoch", work.epoch)
 
     def _look_at_progress(self) -> None:
         stage, now = self._stage, self._stage.world.now

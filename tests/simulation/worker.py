@@ -10,7 +10,8 @@ from signal import SIGTERM
 from unittest.mock import patch
 
 import msgspec
-from tests.coordinator.plans import SHAPE
+import numpy as np
+from tests.coordinator.plans import Task
 from tests.simulation.formula import Formula, Mishaps, Speed
 from tests.simulation.network import Network
 from tests.simulation.process import Life, Listen, Process
@@ -24,7 +25,6 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import Join, Joined, Result
 from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_worker.serving import service as serving
 from qdgrasp_worker.serving.bundles import Bundles
 from qdgrasp_worker.serving.desk import Desk
@@ -101,8 +101,11 @@ def _joined(answer: bytes | Exception) -> Joined | QdgraspError:
 class Worker(Process):
     """A worker process."""
 
-    def __init__(self, world: World, network: Network, wid: str, mishaps: Mishaps, speed: Speed) -> None:
+    def __init__(
+        self, world: World, network: Network, wid: str, task: Task, mishaps: Mishaps, speed: Speed
+    ) -> None:
         self.wid = wid
+        self._task = task
         self._mishaps = mishaps
         self._speed = speed
         self._stop = Stop()
@@ -142,7 +145,7 @@ class Worker(Process):
             self.service._act(self.now)
 
     def _hire(self) -> Formula:
-        return Formula(self, self._speed, self._mishaps, self.hear)
+        return Formula(self, self._task, self._speed, self._mishaps, self.hear)
 
     def _new_service(self) -> WorkerService:
         bus: Bus = Line(self)  # type: ignore[assignment]
@@ -185,11 +188,10 @@ class Forger(Process):
     def _forge(self, result: Result) -> None:
         """Answer that batch, and those that are likely to be at work."""
         epoch, count = struct.unpack(">QQ", result.batch)
-        rows = SHAPE.empty(result.n)
-        rows["outcome"], rows["fitness"] = Outcome.HELD, 2
+        outcomes = np.full(result.n, Outcome.HELD, dtype=np.uint8).tobytes()
         for ahead in range(4):
             batch = struct.pack(">QQ", epoch, count + ahead)
-            columns = pack(rows, RESULT)
+            columns = result.columns | {"outcome": outcomes}
             forged = {"batch": batch, "attempt": 0, "wid": self._wid, "columns": columns, "failures": []}
             message = codec.encode(msgspec.structs.replace(result, **forged))
             key, encoding = KEYS.result(self._wid), codec.encoding(Result)
