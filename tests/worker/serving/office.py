@@ -39,7 +39,7 @@ class Office:
         self.refusal = ""
         self._keys = Keys(job)
         self._tray: deque[Work] = deque()
-        self._leased: list[bytes] = []
+        self._leased: dict[bytes, Work] = {}
         self._changed = threading.Condition(threading.RLock())
         self._stack = ExitStack()
         self.told: Callable[[Result], object] = lambda result: None
@@ -66,6 +66,8 @@ class Office:
 
     def control(self, *drop: Work, drain: bool = False) -> None:
         """Take batches back, or ask the worker to leave."""
+        for work in drop:
+            self._leased.pop(work.batch, None)
         message = Control(epoch=self.epoch, drop=[work.batch for work in drop], drain=drain)
         wid, encoding = self.joins[-1].wid, codec.encoding(Control)
         self.bus.put(self._keys.ctl(wid), codec.encode(message), encoding=encoding, channel=Channel.CONTROL)
@@ -85,7 +87,8 @@ class Office:
         with self._changed:
             join = codec.decode(query.payload, Join)
             self.joins.append(join)
-            self._leased = list(join.held)
+            given_up = [self._leased.pop(batch) for batch in list(self._leased) if batch not in join.held]
+            self._tray.extendleft(reversed(given_up))
             self._changed.notify_all()
             # as on a real bus, work may arrive before the answer to the join does
             self._lease()
@@ -100,15 +103,14 @@ class Office:
             result = codec.decode(sample.payload, Result)
             self.results.append(result)
             self.told(result)
-            if result.batch in self._leased:
-                self._leased.remove(result.batch)
+            self._leased.pop(result.batch, None)
             self._lease()
             self._changed.notify_all()
 
     def _lease(self) -> None:
         while self.joins and self._tray and len(self._leased) < self.joins[-1].credit:
             work = msgspec.structs.replace(self._tray.popleft(), epoch=self.epoch, join=self.joins[-1].number)
-            self._leased.append(work.batch)
+            self._leased[work.batch] = work
             key = self._keys.work(self.joins[-1].wid)
             self.bus.put(key, codec.encode(work), encoding=codec.encoding(Work))
 

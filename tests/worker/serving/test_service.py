@@ -162,17 +162,18 @@ def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_offic
     assert worker.ended()
 
 
-def test_what_a_killed_simulator_had_is_handed_back_and_the_next_one_goes_on(hire, open_office):
+def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(hire, open_office):
     office = open_office()
     worker = hire()
-    office.give(work(1, row_0=stand_in.HANG))
+    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(10)}
+    office.give(work(1, n=10, **dawdle))
     office.wait(lambda: office.signs, "a sign of progress")
     os.kill(worker.simulators[0].pid, signal.SIGKILL)
-    office.wait(lambda: office.joins[-1].held == [] and office.joins[-1].number > 1, "a join without it")
-    office.wait(lambda: office.joins[-1].credit == 2, "a join with credit")
-    office.give(work(2))
     office.wait(lambda: office.results, "a result")
-    assert office.answered() == [2]
+    assert [join.held for join in office.joins[1:]].count([]) >= 1
+    assert office.answered() == [1]
+    assert office.results[0].failures == []
+    assert len(worker.simulators) == 2
 
 
 def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(hire, open_office):
