@@ -30,6 +30,10 @@ class Backlog:
         self._cut = 0
         self._served = 0.0
 
+    def __bool__(self) -> bool:
+        """Whether something waits."""
+        return any(self._queues.values())
+
     @property
     def seconds(self) -> float:
         """What the waiting rows are expected to cost [CPU s]."""

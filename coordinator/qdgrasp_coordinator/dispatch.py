@@ -82,6 +82,8 @@ class Dispatch:
     def leases(self, now: float) -> list[Lease]:
         """Lease what is queued to workers with credit left; send them in this order."""
         leases: list[Lease] = []
+        if not self._backlog:
+            return leases
         free, workers = self._roster.free(), len(self._roster)
         while (worker := free.first) and (run := self._backlog.turn(worker.scenes)):
             leases.append(self._lease(self._backlog.take(run, workers), worker, now))
