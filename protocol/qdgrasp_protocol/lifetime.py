@@ -16,6 +16,8 @@ from setproctitle import setproctitle
 
 SUPERVISED = "QDGRASP_SUPERVISED"
 """Set for a process that lives only as long as the process at the other end of its standard input."""
+HEARD = (signal.SIGINT, signal.SIGTERM)
+KNOCK_INTERVAL = 0.1  # seconds in which the main thread hears a signal, as a rule
 ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
 
 
@@ -56,8 +58,8 @@ def lifetime(title: str) -> Iterator[Stop]:
     """Name this process for `ps`, and turn SIGINT, SIGTERM and the end of its starter into a `Stop`."""
     setproctitle(title)
     stop = Stop()
-    notes = signal.set_wakeup_fd(-1)  # here signals are heard at once
-    before = {number: signal.signal(number, stop.set) for number in (signal.SIGINT, signal.SIGTERM)}
+    notes = signal.set_wakeup_fd(begin := _knocking(stop), warn_on_full_buffer=False)
+    before = {number: signal.signal(number, stop.set) for number in HEARD}
     if os.environ.pop(SUPERVISED, None):
         threading.Thread(target=_outlive_no_starter, name="starter", daemon=True).start()
     try:
@@ -66,6 +68,26 @@ def lifetime(title: str) -> Iterator[Stop]:
         for number, handler in before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(notes)
+        os.close(begin)
+
+
+def _knocking(stop: Stop) -> int:
+    """Start a thread that takes the kernel's notes of signals; gives where they are to be written."""
+    end, begin = os.pipe()
+    os.set_blocking(begin, False)
+    threading.Thread(target=_knock, args=(end, stop), name="signals", daemon=True).start()
+    return begin
+
+
+def _knock(end: int, stop: Stop) -> None:
+    """Send a signal again until it is heard: one that comes right before a wait in C wakes nobody."""
+    main = threading.main_thread().ident or 0
+    while note := os.read(end, 1):
+        while note[0] in HEARD and not stop.is_set:
+            time.sleep(KNOCK_INTERVAL)
+            if not stop.is_set:
+                signal.pthread_kill(main, note[0])
+    os.close(end)
 
 
 def _outlive_no_starter() -> None:
