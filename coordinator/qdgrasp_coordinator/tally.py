@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.cells import cells, keys
-from qdgrasp_coordinator.goals import Goals, first, stale
+from qdgrasp_coordinator.goals import Goals, Pursuit, first
 from qdgrasp_coordinator.whole import taken
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.outcome import Outcome
@@ -71,8 +71,6 @@ class Tally:
 
     def __init__(self, budget: int, overlaps: Overlaps, trials: int = 0, goals: Goals = BUDGET_ALONE) -> None:
         self.budget = budget
-        self._goals = goals
-        self._stale = self._most_stale = 0  # evaluations since a new cell: now, and most before the last row
         self._overlaps = overlaps
         self._trials = trials
         self._barren = 0
@@ -83,6 +81,8 @@ class Tally:
         self._trials_follow = False
         self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
+        self._goals = goals
+        self._pursuit = Pursuit(goals, self._cells)
         self.finished = self._ending()
         """Why the run is over, in words; None while it is not."""
 
@@ -99,10 +99,8 @@ class Tally:
         self.finished = self._ending()
 
     def _count_nominal(self, rows: Rows) -> None:
-        if self._goals.no_new_cell is not None and len(rows):
-            since = self._staleness(rows)
-            self._most_stale = max(self._most_stale, self._stale, int(since[:-1].max(initial=0)))
-            self._stale = int(since[-1])
+        if self._goals != BUDGET_ALONE:
+            self._pursuit.count(rows, counted(rows, self._overlaps))
         outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
         self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
         self.evaluations += len(rows) if self._overlaps == "count" else sum(outcomes[Outcome.MISSED :])
@@ -140,30 +138,13 @@ class Tally:
         ends = [len(rows)]
         if self.left <= len(rows):
             ends.append(first(np.cumsum(counted(rows, self._overlaps)) >= self.left))
-        if self._goals.successes is not None:
-            found = self.successes + np.cumsum(rows["outcome"] >= Outcome.DROPPED)
-            ends.append(first(found >= self._goals.successes))
-        if self._goals.no_new_cell is not None:
-            ends.append(first(self._staleness(rows) >= self._goals.no_new_cell))
+        if self._goals != BUDGET_ALONE:
+            ends.append(self._pursuit.until_reached(rows, counted(rows, self._overlaps), self.successes))
         return min(ends)
 
     @property
     def _goal(self) -> str | None:
-        return self._goals.reached(self.successes, self._stale)
-
-    def _staleness(self, rows: Rows) -> NDArray[np.int64]:
-        """Counted evaluations since the last new cell at each of the next nominal rows: (n,)."""
-        done = self.evaluations + np.cumsum(counted(rows, self._overlaps))
-        return stale(done, self._is_new(rows), self.evaluations - self._stale)
-
-    def _is_new(self, rows: Rows) -> NDArray[np.bool_]:
-        """Which of the next nominal rows reach a new cell: (n,)."""
-        found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
-        reached, places = np.unique(keys(cells(rows["descriptor"][found, :3])), return_index=True)
-        is_unknown = [key not in self._cells for key in reached.tolist()]
-        is_new = np.zeros(len(rows), dtype=bool)
-        is_new[found[places[is_unknown]]] = True
-        return is_new
+        return self._pursuit.reached(self.successes)
 
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the journal of `spec`, which may have another budget, begins with the rows counted.
@@ -185,24 +166,11 @@ class Tally:
         least = self.evaluations + (not is_counted)
         if spec.evaluations < least:
             raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
-        self._check_goals()
+        self._pursuit.check(self.successes, bool(self._last["outcome"] >= Outcome.DROPPED))
         is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
         if is_cut and spec.evaluations > least and self._goal is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"
             raise ImpossibleValue(where, spec.evaluations, expected)
-
-    def _check_goals(self) -> None:
-        """Check that no goal was reached before the last nominal row."""
-        goals, is_success = self._goals, self._last is not None and self._last["outcome"] >= Outcome.DROPPED
-        found = self.successes + (not is_success)
-        if goals.successes is not None and goals.successes < found:
-            raise ImpossibleValue("successes", goals.successes, f"at least {found}, which are recorded")
-        if goals.no_new_cell is not None and goals.no_new_cell <= self._most_stale:
-            raise ImpossibleValue(
-                "no_new_cell",
-                goals.no_new_cell,
-                f"at least {self._most_stale + 1}: so long a stretch without a new cell is recorded",
-            )
 
     def _ending(self) -> str | None:
         if self.left <= 0 and not self._owed:
