@@ -118,6 +118,7 @@ class Roster:
             for member in self._members.values():
                 member.progress = now
                 member.gone_at = None if member.gone_at is None else now
+            self._look_at_all()
         self._link_is_up = is_up
 
     def overdue(self, now: float) -> list[Overdue]:
