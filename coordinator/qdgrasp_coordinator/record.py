@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from itertools import chain, repeat
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from qdgrasp_protocol.rows import Rows, Shape
 
 PAGE = 2048
 """Rows in one page of a replay."""
+PATIENCE = (1.0, 2.0, 4.0)
+"""Seconds that the first questions to a recorder wait: one on a link that was lost is lost."""
+LAST_PATIENCE = 10.0  # seconds that all others wait: a recorder may be slow
 
 
 class Record(ABC):
@@ -135,9 +139,10 @@ class RecorderLink(Record):
 
     def _ask(self, key: str, request: Message, wait: Callable[[], None]) -> bytes:
         """The recorder's answer, asked for until it comes: a dead recorder is started again."""
+        patience = chain(PATIENCE, repeat(LAST_PATIENCE))
         while True:
             try:
-                answer = self._bus.ask(key, codec.encode(request), timeout=10.0)
+                answer = self._bus.ask(key, codec.encode(request), timeout=next(patience))
             except NoReply:
                 self.trouble = f"no recorder of job '{self._job}' answers, or its disk is full"
                 wait()

@@ -5,9 +5,9 @@ from tests.coordinator.plans import SHAPE
 
 from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_protocol.bus import Query
-from qdgrasp_protocol.errors import InputError, Refused
+from qdgrasp_protocol.errors import InputError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
 from qdgrasp_protocol.messages import OpenRun
 
 RUN = OpenRun(run="one", spec=b"", scene="0" * 64, genes=4, joints=1, descriptors=3)
@@ -28,3 +28,29 @@ def test_a_recorder_that_refuses_is_quoted() -> None:
         link.open(RUN, 0, wait)
     with network.session().answer(keys.log, refuse), pytest.raises(InputError, match="rows 7 to 9"):
         link.recorded(0, wait)
+
+
+class Deaf(LocalBus):
+    """A session whose questions are lost; it keeps how long each was waited for."""
+
+    def __init__(self, network: LocalNetwork) -> None:
+        super().__init__(network)
+        self.waited: list[float] = []
+
+    def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
+        self.waited.append(timeout)
+        raise NoReply("the link was lost")
+
+
+def test_a_question_that_was_lost_is_soon_asked_again_and_a_slow_recorder_has_time() -> None:
+    class Enough(Exception):
+        """The test has seen enough."""
+
+    def look() -> None:
+        if len(bus.waited) == 6:
+            raise Enough
+
+    bus = Deaf(LocalNetwork())
+    with pytest.raises(Enough):
+        RecorderLink(bus, "many", SHAPE).open(RUN, 0, look)
+    assert bus.waited == [1.0, 2.0, 4.0, 10.0, 10.0, 10.0]
