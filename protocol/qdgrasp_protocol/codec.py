@@ -5,14 +5,16 @@ megabyte of `0x90` become a million objects.
 """
 
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgpack
 import msgspec
 
-from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Message
+
+if TYPE_CHECKING:  # a simulator reads scenes, and has no bus
+    from qdgrasp_protocol.bus import Sample
 
 M = TypeVar("M", bound=Message)
 C = TypeVar("C", list[Any], dict[str, Any])
@@ -73,7 +75,7 @@ def decode(payload: bytes, kind: type[M]) -> M:
         raise MessageError(f"not a {kind.__name__.lower()}: {_harmless(str(error))}") from None
 
 
-def decoded(sample: Sample, kind: type[M]) -> M:
+def decoded(sample: "Sample", kind: type[M]) -> M:
     """The message of `kind` in a sample.
 
     Raises
