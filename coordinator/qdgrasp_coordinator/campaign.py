@@ -94,7 +94,7 @@ def read_campaign(
     here
         Whether its grippers and objects must be on this machine.
     goals
-        What ends each run for which the file does not say it, by keys of a spec; None: nothing.
+        What ends runs, by keys of a spec, in place of what the file's defaults say; None: what they say.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def read_campaign(
     """
     source, asked = read_run_spec(path), {key: value for key, value in goals.items() if value is not None}
     if asked and isinstance(source.get("defaults", {}), dict):
-        source["defaults"] = asked | source.get("defaults", {})
+        source["defaults"] = source.get("defaults", {}) | asked
     return campaign(source, str(path), here=here)
 
 

@@ -42,6 +42,27 @@ class TestCrossing:
         assert {spec.evaluations for spec in runs.values()} == {300}
         assert "panda-banana-me_scs-s7" in runs
 
+    def test_goals_replace_those_of_the_defaults_and_are_no_part_of_a_runs_name(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(
+            """[defaults]
+gripper = "panda"
+successes = 5
+[[cross]]
+object = "mug"
+[[cross]]
+object = "bowl"
+successes = 7
+"""
+        )
+        as_written = read_campaign(file)
+        asked = read_campaign(file, goals={"successes": 9, "no_new_cell": None})
+        assert [spec.successes for spec in as_written.runs.values()] == [5, 7]
+        assert [spec.successes for spec in asked.runs.values()] == [9, 7]
+        assert list(asked.runs) == list(as_written.runs) == ["panda-mug-aimed-s0", "panda-bowl-aimed-s0"]
+        file.write_text(asked.toml)
+        assert read_campaign(file).runs == asked.runs
+
     def test_a_run_that_is_asked_for_twice_is_one(self) -> None:
         assert names({"cross": [CROSS, CROSS]}) == names({"cross": [CROSS]})
 

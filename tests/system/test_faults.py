@@ -124,6 +124,7 @@ def test_a_run_that_was_killed_before_its_journal_began_is_gone_on_with(qdgrasp,
     assert qdgrasp.digest("run") == long_digest
 
 
+@pytest.mark.slow
 def test_a_run_is_not_lost_to_a_disk_that_is_full_when_it_is_resumed(qdgrasp, long_digest):
     process, folder = start(qdgrasp, 20)
     os.kill(process.pid, signal.SIGTERM)

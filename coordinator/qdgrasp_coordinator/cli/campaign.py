@@ -39,7 +39,7 @@ def campaign(
     """Carry out all runs of a campaign; one that was stopped goes on, and finished runs are not repeated.
 
     The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
-    --successes and --no-new-cell are of each run for which the file says nothing of the kind.
+    --successes and --no-new-cell replace what its [defaults] say; a [[cross]] with its own keeps that.
 
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
     """
