@@ -11,6 +11,8 @@ settings.register_profile(
 )  # machines are shared: how long an example takes says nothing
 settings.load_profile("shared")
 
+os.environ.setdefault("QDGRASP_NICE", "0")  # simulators that tests wait for stand back behind nobody
+
 TESTS = Path(__file__).resolve().parent
 STARTERS = (TESTS / "system", TESTS / "chaos")
 """Where tests start processes of their own."""

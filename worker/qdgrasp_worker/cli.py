@@ -41,7 +41,13 @@ def worker(
         float, typer.Option(min=0.1, help="CPU seconds that an evaluation may take.")
     ] = 30.0,
     nice: Annotated[
-        int, typer.Option(min=0, max=19, help="How far simulators stand back behind other processes.")
+        int,
+        typer.Option(
+            min=0,
+            max=19,
+            envvar="QDGRASP_NICE",
+            help="How far simulators stand back behind other processes; 0: not at all.",
+        ),
     ] = 10,
     pin: Annotated[bool, typer.Option("--pin", help="Keep each of several workers on one core.")] = False,
     self_test: Annotated[
