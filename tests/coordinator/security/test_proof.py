@@ -18,10 +18,10 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 @pytest.fixture(autouse=True)
 def brisk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is missing is given up soon."""
-    monkeypatch.setattr(trials, "PATIENCE", 3.0)
+    """Silence is short; what is to happen may take long on a busy machine."""
     monkeypatch.setattr(trials, "QUIET", 0.25)
-    monkeypatch.setattr(proof, "PATIENCE", 2.0)
+    monkeypatch.setattr(trials, "PATIENCE", 30.0)
+    monkeypatch.setattr(proof, "PATIENCE", 30.0)
 
 
 def test_every_cell_is_as_it_should_be_and_no_stranger_gets_in(secured: str, folder: Path) -> None:
@@ -55,7 +55,10 @@ def leaky(folder: Path, tmp_path: Path) -> Path:
     return copy
 
 
-def test_an_access_list_with_holes_is_found_out(folder: Path, tmp_path: Path) -> None:
+def test_an_access_list_with_holes_is_found_out(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trials, "PATIENCE", 5.0)  # one right is missing, and waited for
     endpoint, place = encrypted_endpoint(), leaky(folder, tmp_path)
     with ZenohBus.router(endpoint, credentials=Credentials.find(place, Role.ROUTER)):
         found = prove(endpoint, place)
@@ -75,7 +78,8 @@ def test_an_access_list_with_holes_is_found_out(folder: Path, tmp_path: Path) ->
     assert "WRONG" in table(found.matrix)
 
 
-def test_a_router_that_is_not_there_is_one_sentence(folder: Path) -> None:
+def test_a_router_that_is_not_there_is_one_sentence(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(proof, "PATIENCE", 0.3)
     with pytest.raises(EndpointError, match="Nothing answers at tls/"):
         prove(encrypted_endpoint(), folder)
 
