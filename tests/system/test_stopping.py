@@ -13,6 +13,8 @@ from tests.endpoints import own_endpoint
 from tests.system.commands import SMALL, Commands, is_alive, processes_of, rows_recorded, wait_for
 from tests.system.test_faults import pids
 
+from qdgrasp_coordinator.security.folder import SecurityFolder
+
 PROMISED = 2.0
 """Seconds that a command may take to stop, on a machine that is not busy with something else."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
@@ -72,11 +74,20 @@ def seeking(*command: str, module: str = "qdgrasp") -> Beginning:
     return begin
 
 
+def checking(qdgrasp: Commands) -> subprocess.Popen[str]:
+    """A check of an access list whose router is not there."""
+    folder = SecurityFolder.create(qdgrasp.home / "security", hosts=["localhost"], days=1).path
+    endpoint = own_endpoint().replace("tcp/", "tls/")
+    process = qdgrasp.start("security", "check", "--security", folder, "--connect", endpoint)
+    wait_for(lambda: _is_loaded(process.pid), "its threads")
+    return process
+
+
 def _is_loaded(pid: int) -> bool:
     return len(list(Path(f"/proc/{pid}/task").iterdir())) > 4
 
 
-RECORDER = "qdgrasp_coordinator.cli.recorder"
+RECORDER, ROUTER = "qdgrasp_coordinator.cli.recorder", "qdgrasp_coordinator.cli.router"
 BEGINNINGS: dict[str, Beginning] = {
     "a run": working,
     "a run whose router is away": frozen("coordinator"),
@@ -86,6 +97,8 @@ BEGINNINGS: dict[str, Beginning] = {
     "a campaign's scene that is built": campaigning,
     "jobs without a router": seeking("jobs"),
     "an order without a router": seeking("pause", "mugs"),
+    "a check without a router": checking,
+    "a router without the other one": seeking("--listen", own_endpoint(), module=ROUTER),
     "a recorder without a router": seeking("--job", "mugs", "--out", "out", module=RECORDER),
 }
 QUICK = {"a run whose router is away": signal.SIGINT, "a campaign's scene that is built": signal.SIGTERM}
