@@ -2,7 +2,7 @@
 
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -13,7 +13,9 @@ from tests.chaos.slow_simulator import PACE
 from tests.endpoints import own_endpoint
 from tests.system.commands import rows_recorded
 
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.preparation import make_bundle
+from qdgrasp_protocol.spec import RunSpec
 
 JOB = "chaos"
 FAREWELL = 10.0  # seconds that everybody may take to stop, on a busy machine
@@ -28,30 +30,46 @@ class Household:
         A folder of their own; the run's is `home/run`, what they say is in `home/logs`.
     pace
         Seconds that an evaluation takes at least.
+    options
+        Of the workers.
+    environment
+        Of all.
     """
 
-    def __init__(self, home: Path, spec: RunSpec, *, workers: int, pace: float = 0.0) -> None:
+    def __init__(
+        self,
+        home: Path,
+        spec: RunSpec,
+        *,
+        workers: int,
+        pace: float = 0.0,
+        options: Sequence[object] = (),
+        **environment: str,
+    ) -> None:
         self.home = home
         self.run = home / "run"
         self.endpoint = own_endpoint()
-        self._pace = pace
-        home.mkdir(parents=True, exist_ok=True)
-        file = home / "spec.toml"
-        file.write_text(to_toml(spec))
+        self._environment = {PACE: str(pace), "QDGRASP_CACHE": str(home / "cache"), **environment}
+        _, bundle = make_bundle(spec)
+        RunFolder.create(self.run, spec, bundle, job=JOB)
         there = ["--connect", self.endpoint]
         self._members: dict[str, Process] = {}
         self.add("router", "qdgrasp_coordinator.cli.router", "--listen", self.endpoint)
-        self.add("coordinator", "qdgrasp_coordinator.cli.coordinator", file, "--job", JOB, *there)
+        self.add("coordinator", "qdgrasp_coordinator.cli.coordinator", self.run, *there)
         self.add("recorder", "qdgrasp_coordinator.cli.recorder", "--job", JOB, "--out", self.run, *there)
         for number in range(workers):
-            self.add(f"worker-{number}", "tests.chaos.slow_worker", "--job", JOB, *there)
+            self.add(f"worker-{number}", "tests.chaos.worker", "--job", JOB, *there, *options)
 
     def add(self, name: str, module: str, *arguments: object) -> Process:
         """Take another process in; it is not started yet."""
         log = self.home / "logs" / f"{name}.log"
-        environment = {PACE: str(self._pace), "QDGRASP_CACHE": str(self.home / "cache")}
-        member = self._members[name] = Process(name, module, arguments, log, **environment)
+        member = self._members[name] = Process(name, module, arguments, log, **self._environment)
         return member
+
+    def another(self, name: str) -> Process:
+        """Take another process in with the command of one that is here; it is called `name-2`."""
+        twin = self._members[f"{name}-2"] = self._members[name].twin(self.home / "logs" / f"{name}-2.log")
+        return twin
 
     def __getitem__(self, name: str) -> Process:
         return self._members[name]

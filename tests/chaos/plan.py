@@ -15,8 +15,8 @@ from qdgrasp_protocol.spec import RunSpec
 
 HEAD = ("recorder", "coordinator", "router")
 GAPS = (1.0, 3.0)  # seconds from one blow to the next
-DEAD = (0.1, 1.5)  # seconds until a killed process is started again
-STILL = (5.5, 8.0)
+DEAD = (0.1, 1.0)  # seconds until a killed process is started again
+STILL = (5.5, 7.0)
 """Seconds that a process is stopped for: links end after 4 s without a sign of life, leases one later."""
 SCENE = {"gripper": "panda", "object": "tennis_ball"}
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,6 +69,12 @@ class Process:
                 start_new_session=True,
                 preexec_fn=_die_with_the_starter,
             )
+
+    def twin(self, log: Path) -> "Process":
+        """Another process with the same command, not started yet."""
+        twin = copy(self)
+        twin.name, twin.log, twin.is_stopped, twin._process = log.stem, log, False, None
+        return twin
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal, if it is there; a process that was killed has ended when this returns."""

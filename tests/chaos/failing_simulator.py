@@ -1,0 +1,72 @@
+"""A simulator that fails in every way, once in each and never twice on the same row.
+
+The way is decided by the genome; CHAOS_DEEDS is a folder where it is noted what was done.
+"""
+
+import hashlib
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from tests.chaos.slow_simulator import PACE, Slow
+
+from qdgrasp_worker.evaluate import Evaluation
+from qdgrasp_worker.serving.child import load_scene, main
+
+DEEDS = "CHAOS_DEEDS"
+ONE_IN = 4
+"""One row in so many may fail."""
+
+
+def hang() -> None:
+    """Never come back; what ends it is the limit on the time of a row."""
+    while True:
+        pass
+
+
+def take_all_memory() -> None:
+    """Ask for memory until there is none; what ends it is the limit on memory."""
+    held = []
+    while True:
+        held.append(bytearray(b"x" * 50_000_000))
+
+
+def be_killed() -> None:
+    """End as a process does that the kernel picks when memory is short."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+WAYS: dict[str, Callable[[], None]] = {
+    "abort": os.abort,
+    "hang": hang,
+    "take-all-memory": take_all_memory,
+    "be-killed": be_killed,
+}
+
+
+class Failing(Slow):
+    """An evaluator that fails where a genome wants it and has not had it yet."""
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        for genome in genomes:
+            fail_once(genome.tobytes())
+        return super().evaluate(prior, genomes, trials)
+
+
+def fail_once(genome: bytes) -> None:
+    """Fail as a genome wants it, unless somebody has failed that way before."""
+    mark = hashlib.sha256(genome).digest()
+    if mark[0] % ONE_IN:
+        return
+    name = list(WAYS)[mark[1] % len(WAYS)]
+    try:
+        (Path(os.environ[DEEDS]) / name).touch(exist_ok=False)
+    except FileExistsError:
+        return
+    WAYS[name]()
+
+
+if __name__ == "__main__":
+    main(load=lambda bundle: Failing(load_scene(bundle), float(os.environ[PACE])))

@@ -1,0 +1,136 @@
+"""What dies in a way of its own, with real processes: the run gives what it would have given."""
+
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.chaos.failing_simulator import DEEDS, WAYS
+from tests.chaos.household import Household
+from tests.chaos.plan import Course
+from tests.chaos.undisturbed import recorded_digest, undisturbed_digest
+from tests.chaos.worker import SIMULATOR
+from tests.system.commands import wait_for
+
+from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.journal_format import FILE
+
+COURSE = Course("contact_rand", "paper", 60, 0.05)
+SPEC = COURSE.spec(seed=1, evaluations=300)
+EARLY = 60  # rows that are recorded when it happens
+
+pytestmark = pytest.mark.timeout(400)
+
+
+@pytest.fixture(scope="session")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return undisturbed_digest(SPEC, tmp_path_factory.mktemp("undisturbed"))
+
+
+@pytest.fixture
+def household(tmp_path: Path) -> Iterator[Household]:
+    """A job in progress, with some rows recorded."""
+    with Household(tmp_path, SPEC, workers=4, pace=COURSE.pace) as household:
+        household.start()
+        wait_for(lambda: household.rows >= EARLY, "the first rows")
+        assert household["coordinator"].is_there
+        yield household
+
+
+def ends_well(household: Household, coordinator: str = "coordinator") -> str:
+    """Wait until a job is over; gives its digest."""
+    process = household[coordinator]
+    wait_for(lambda: process.exit_code is not None, "the end")
+    assert process.exit_code == 0, process.words
+    assert household.end() == []
+    assert not [member.name for member in household if "Traceback" in member.words]
+    return recorded_digest(household.run)
+
+
+def cut(wal: Path) -> None:
+    """Lose the end of the last page."""
+    with wal.open("r+b") as file:
+        file.truncate(wal.stat().st_size - 1000)
+
+
+def garble(wal: Path) -> None:
+    """Have something else on the last page."""
+    with wal.open("r+b") as file:
+        file.seek(-1000, 2)
+        file.write(bytes(1000))
+
+
+@pytest.mark.parametrize("tear", [cut, garble])
+def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
+    household: Household, expected: str, tear: Callable[[Path], None]
+) -> None:
+    recorder = household["recorder"]
+    recorder.send(signal.SIGKILL)
+    before = household.rows
+    tear(household.run / f"{FILE}-wal")
+    assert household.rows < before
+    recorder.start()
+    assert ends_well(household) == expected
+
+
+def test_a_disk_that_is_full_for_a_while_is_waited_for(household: Household, expected: str) -> None:
+    recorder = household["recorder"]
+    largest = max(file.stat().st_size for file in household.run.glob(f"{FILE}*"))
+    _, most = resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (largest, most))
+    wait_for(lambda: "the disk is full" in recorder.words, "a full disk")
+    rows = household.rows
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (most, most))
+    wait_for(lambda: "there is room again" in recorder.words, "room")
+    assert rows < SPEC.evaluations
+    assert ends_well(household) == expected
+
+
+def test_the_head_and_half_of_the_workers_are_killed_at_once(household: Household, expected: str) -> None:
+    for name in ("coordinator", "recorder", "worker-0", "worker-1"):
+        household[name].send(signal.SIGKILL)
+    household.start()
+    assert ends_well(household) == expected
+
+
+def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
+    household: Household, expected: str
+) -> None:
+    first, second = household["coordinator"], household.another("coordinator")
+    first.send(signal.SIGSTOP)
+    second.start()
+    wait_for(lambda: "worker joined" in second.words, "workers at the second coordinator")
+    first.send(signal.SIGCONT)
+    wait_for(lambda: first.exit_code is not None, "the end of the first coordinator")
+    assert first.exit_code == 1, first.words
+    assert "took over (epoch 2)" in first.last_words
+    assert ends_well(household, "coordinator-2") == expected
+    assert RunFolder.open(household.run).job.epoch == 2
+
+
+def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(
+    household: Household, expected: str
+) -> None:
+    first, second = household["recorder"], household.another("recorder")
+    first.send(signal.SIGSTOP)
+    second.start()
+    wait_for(lambda: second.exit_code is not None, "the second recorder's refusal")
+    assert second.exit_code == 2
+    assert f"is in use by process {first.pid}" in second.last_words
+    first.send(signal.SIGCONT)
+    assert ends_well(household) == expected
+
+
+@pytest.mark.slow
+def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
+    tmp_path: Path, expected: str
+) -> None:
+    deeds = tmp_path / "deeds"
+    deeds.mkdir()
+    environment = {SIMULATOR: "tests.chaos.failing_simulator", DEEDS: str(deeds)}
+    limits = ("--row-seconds", 1, "--memory", 400)
+    with Household(tmp_path, SPEC, workers=2, options=limits, **environment) as household:
+        household.start()
+        assert ends_well(household) == expected
+    assert {deed.name for deed in deeds.iterdir()} == set(WAYS)
