@@ -8,12 +8,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
-from math import inf
 
 import structlog
 
 from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.board import Board
+from qdgrasp_coordinator.ending import Ending
 from qdgrasp_coordinator.figures import JobFigures
 from qdgrasp_coordinator.inbox import Event, Inbox, LinkChange, OrderRequest, ShowRequest, TokenChange, Wake
 from qdgrasp_coordinator.lane import Lane
@@ -34,8 +34,6 @@ from qdgrasp_protocol.messages import Message, Opened, Order
 log = structlog.get_logger()
 
 MAX_PATIENCE = 0.5  # seconds that the inbox is waited for, at most
-FAREWELL = 5.0
-"""Seconds that a job that ends early waits for its recorder."""
 
 
 class CoordinatorService:
@@ -83,10 +81,8 @@ class CoordinatorService:
         self._turn = self._new_turn(0)
         self._turn.is_paused = paused
         self._board = Board(bus, job, self._lanes, lambda: self._turn)
-        self._orders = Orders(job, lambda: self._turn, self._cancel)
-        self._cancelled = ""
-        self._end_at = inf if seconds is None else time.monotonic() + seconds
-        """When the time is over and this job ends; once it is ending, when that may take no longer."""
+        self._orders = Orders(job, lambda: self._turn, self._end_early)
+        self._ending = Ending(seconds, time.monotonic())
 
     def run(self, look: Callable[[float], None] = lambda _now: None) -> None:
         """Carry all runs out until they are finished and recorded, or until asked to stop.
@@ -107,17 +103,17 @@ class CoordinatorService:
         self._stop.tell(lambda: self._inbox.put(Wake()))
         with self._doors:
             self._open_doors()
-            while not (self._stop.is_set or self._lanes.are_done or self._is_ended):
+            while not (self._stop.is_set or self._lanes.are_done or self._has_ended):
                 self._step()
                 look(time.monotonic())
             self._board.publish(time.monotonic())
-        reason = "asked to stop" if self._stop.is_set else self._cancelled or "done"
+        reason = "asked to stop" if self._stop.is_set else self._ending.words or "done"
         dropped = self._turn.drops.count
         log.info("ended", reason=reason, dropped=dropped, **self._turn.dispatch.counters)
         if self._stop.is_set:
             return
-        if self._cancelled and not self._lanes.are_done:
-            raise EndedEarly(self._cancelled)
+        if self._ending.words and not self._lanes.are_done:
+            raise EndedEarly(self._ending.words)
         self._lanes.check()
 
     def figures(self, now: float) -> JobFigures:
@@ -136,12 +132,13 @@ class CoordinatorService:
                 self._end(lane, now)
         if not self._turn.is_ending:
             self._lanes.open_another(self._turn.epoch, is_wanted=self._turn.wants_more)
-            if now >= self._end_at:
-                self._end_early(now)
+            if self._ending.is_due(now):
+                self._end_early()
         self._board.publish_due(now)
 
     def _patience(self, now: float) -> float:
-        return min(MAX_PATIENCE, max(0.0, min(self._turn.next_deadline(), self._end_at) - now))
+        deadline = min(self._turn.next_deadline(), self._ending.deadline)
+        return min(MAX_PATIENCE, max(0.0, deadline - now))
 
     def _take(self, event: Event, now: float) -> None:
         match event:
@@ -179,20 +176,18 @@ class CoordinatorService:
         log.info("obeyed", order=order.act, words=words)
         answer.set_result(words)
 
-    def _cancel(self, words: str) -> None:
-        self._cancelled = words
-        self._end_early(time.monotonic())
-
-    def _end_early(self, now: float) -> None:
+    def _end_early(self, words: str = "") -> None:
         """Begin nothing any more, and wait a little until what was found is recorded."""
         self._turn.end()
-        self._end_at = now + FAREWELL
+        self._ending.begin(time.monotonic(), words)
 
     @property
-    def _is_ended(self) -> bool:
-        """Whether a job that is ending may end now; what is not recorded by then is evaluated again."""
+    def _has_ended(self) -> bool:
+        """Whether a job that ends early may end now."""
+        if not self._turn.is_ending:
+            return False
         is_safe = all(lane.record.is_empty for lane in self._lanes)
-        return self._turn.is_ending and (is_safe or time.monotonic() >= self._end_at)
+        return self._ending.is_over(time.monotonic(), is_safe=is_safe)
 
     # Runs begin, go on and end.
 
