@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.chaos.plan import blows, course
 from tests.chaos.play import disturb
-from tests.chaos.undisturbed import undisturbed_digest
+from tests.chaos.undisturbed import agreeing_rows, undisturbed_digest
 
 LONG, SHORT = 20_000, 5_000
 SEEDS = range(10)
@@ -66,6 +66,9 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     say(f"disturbed digest   {story.digest or 'none'}: {'the same' if is_same else 'ANOTHER ONE'}")
     if is_same and not story.troubles:
         return True
+    if story.digest:
+        rows, alike = agreeing_rows(home / "run", spec, out / "undisturbed")
+        say(f"{rows} rows are recorded; the undisturbed run begins with {alike} of them")
     say(f"seed {seed} FAILED: {'; '.join(story.troubles) or 'the digests differ'}; everything is in {home}")
     say(f"again: python -m tests.chaos --seed {seed} --evaluations {evaluations} --workers {asked.workers}")
     return False

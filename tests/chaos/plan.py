@@ -18,6 +18,7 @@ GAPS = (1.0, 3.0)  # seconds from one blow to the next
 DEAD = (0.1, 1.0)  # seconds until a killed process is started again
 STILL = (5.5, 7.0)
 """Seconds that a process is stopped for: links end after 4 s without a sign of life, leases one later."""
+PACE = 0.005  # seconds that a cheap evaluation takes at least
 SCENE = {"gripper": "panda", "object": "tennis_ball"}
 
 
@@ -63,11 +64,11 @@ class Course:
 
 
 COURSES = (
-    Course("contact_rand", "paper", 200, 0.01),
+    Course("contact_rand", "paper", 200, PACE),
     Course("aimed", "paper", None, 0.0),
-    Course("contact_me_scs", "paper", 100, 0.01),
-    Course("contact_cma_mae", "paper", None, 0.01),
-    Course("contact_rand", "robust", 100, 0.01),
+    Course("contact_me_scs", "paper", 200, PACE),
+    Course("contact_cma_mae", "paper", None, PACE),
+    Course("contact_rand", "robust", 200, PACE),
 )
 """By the seed: seeds in a row see every kind."""
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from itertools import takewhile
 from pathlib import Path
 
 from tests.chaos.process import ROOT, Process
@@ -11,7 +12,7 @@ from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 ROOMS = ("assets", "coordinator", "protocol", "worker")
-DIGEST = "digest"
+DIGEST, RUN = "digest", "run"
 
 
 def undisturbed_digest(spec: RunSpec, store: Path) -> str:
@@ -25,6 +26,15 @@ def undisturbed_digest(spec: RunSpec, store: Path) -> str:
     return known.read_text()
 
 
+def agreeing_rows(run: Path, spec: RunSpec, store: Path) -> tuple[int, int]:
+    """How many rows of a run are recorded, and how many of them the undisturbed run begins with."""
+    with RunFolder.open(run).journal() as some, RunFolder.open(store / _key(spec) / RUN).journal() as all_:
+        pairs = zip(some.rows(0, some.count), all_.rows(0, some.count), strict=False)
+        return some.count, sum(
+            1 for _ in takewhile(lambda pair: pair[0].tobytes() == pair[1].tobytes(), pairs)
+        )
+
+
 def recorded_digest(run: Path) -> str:
     """What `qdgrasp digest` prints, without a process for it."""
     with RunFolder.open(run).journal() as journal:
@@ -32,7 +42,7 @@ def recorded_digest(run: Path) -> str:
 
 
 def _carried_out(spec: RunSpec, home: Path) -> str:
-    file, run = home / "spec.toml", home / "run"
+    file, run = home / "spec.toml", home / RUN
     file.write_text(to_toml(spec))
     command = ("run", file, "--workers", 2, "--out", run)
     process = Process("run", "qdgrasp", command, home / "log")
