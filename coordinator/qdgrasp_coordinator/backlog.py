@@ -58,14 +58,15 @@ class Backlog:
         scenes
             Those that the worker holds.
         """
-        waiting = {run: queue for run, queue in self._queues.items() if queue}
-        if not waiting:
+        least = at_hand = None
+        for run, queue in self._queues.items():
+            if queue and (least is None or queue.served < least[0]):
+                least = (queue.served, run)
+            if queue and queue.scene in scenes and (at_hand is None or queue.served < at_hand[0]):
+                at_hand = (queue.served, run)
+        if least is None:
             return None
-        least = min(queue.served for queue in waiting.values())
-        at_hand = [
-            run for run, queue in waiting.items() if queue.scene in scenes and queue.served <= least + SLACK
-        ]
-        return min(at_hand or waiting, key=lambda run: waiting[run].served)
+        return at_hand[1] if at_hand and at_hand[0] <= least[0] + SLACK else least[1]
 
     def take(self, run: str, workers: int) -> Batch:
         """The next batch of a run that has one: one that came back, or a new one.
