@@ -7,12 +7,14 @@ PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11
 # One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
 IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 
-.PHONY: help demo test test-slow check fuzz chaos bench scale results results-page lock clean
+.PHONY: help demo test test-slow check fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
 	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
 	@echo "make check   formatter, linter, types, imports between rooms"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
+	@echo "make simulate   5000 histories of machines and links that fail, and what must always hold in them (HISTORIES=, FIRST=)"
+	@echo "make simulate-curves   how busy 10 to 10 000 workers are kept: table and figure in docs/simulation"
 	@echo "make chaos   ten runs whose processes are killed and stopped all the time; 45 minutes (SEED=, EVALUATIONS=)"
 	@echo "make bench   what everything costs on this machine, and where the time goes (runs/bench)"
 	@echo "make scale   how far a coordinator goes, with workers that only answer; three minutes (runs/scale.json)"
@@ -41,6 +43,14 @@ fuzz: $(VENV)/.ready
 chaos: $(VENV)/.ready
 	@$(BIN)/python -m tests.chaos --out runs/chaos $(addprefix --seed ,$(SEED)) $(addprefix --evaluations ,$(EVALUATIONS))
 	$(if $(SEED),,$(BIN)/python -m pytest tests/chaos)
+
+simulate: $(VENV)/.ready
+	@$(BIN)/python -m tests.simulation $(addprefix --histories ,$(HISTORIES)) $(addprefix --first ,$(FIRST))
+	@$(if $(FIRST),,$(BIN)/python -m tests.simulation --mutations)
+
+simulate-curves: $(VENV)/.ready
+	@rm -f docs/simulation/curves.csv
+	@$(BIN)/python -m tests.simulation --curves docs/simulation
 
 bench: $(VENV)/.ready
 	@$(BIN)/python -m tests.benchmarks --out runs/bench

@@ -32,6 +32,8 @@ AT_ONCE = 256
 """Messages that it takes between two looks at what may be leased."""
 LEASE = 4.0
 """Seconds after which a frozen worker's token vanishes."""
+REPLACED, FROZEN = 5.0, 20.0
+"""Seconds until a worker that died is replaced, and that one is frozen."""
 MANY = 10**9
 
 
@@ -48,10 +50,6 @@ class Crew:
     """The mean time until a worker dies [s]; another one joins after `REPLACED` seconds."""
     freeze: float = inf
     """The mean time until a worker is frozen for `FROZEN` seconds [s]."""
-
-
-REPLACED = 5.0
-FROZEN = 20.0
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ class Hand:
 
 
 class Fleet:
-    """A job's coordinator and its workers, played until so many batches are settled."""
+    """A job's coordinator and its workers."""
 
     def __init__(self, crew: Crew, task: Task, seed: int = 0) -> None:
         self.now = 0.0
@@ -127,23 +125,25 @@ class Fleet:
             f"run-{n}": Pipeline(Timed(task.population, self), SHAPE, MANY, "count", task.in_flight)
             for n in range(task.runs)
         }
+        self._told = set(self._pipelines)
+        """Runs that may have something to ask."""
         self._hands: dict[str, Hand] = {}
         for _ in range(crew.workers):
-            self._hire()
+            self._at(self._begin(), self._hire)
 
-    def play(self, batches: int, generations: int) -> Figures:
-        """Figures of the second half, when so many batches are settled and generations told."""
-        while len(self._useful) < batches or len(self.ages) < generations:
+    def play(self, seconds: float, most: int) -> Figures:
+        """Figures of the second half of so many seconds, or of so many settled batches if sooner."""
+        while self.now < seconds and len(self._useful) < most:
             self.now, _, call = heapq.heappop(self._events)
             call()
         return self._figures(self.now / 2, self.now)
 
     def _figures(self, begin: float, end: float) -> Figures:
-        useful = [entry for entry in self._useful if entry[0] >= begin]
-        rows = sum(entry[2] for entry in useful)
+        useful = [(min(took, at - begin), rows) for at, took, rows in self._useful if at > begin]
+        rows = sum(n for _, n in useful)
         ages = [age for time, age in self.ages if time >= begin] or [age for _, age in self.ages]
         return Figures(
-            utilisation=sum(entry[1] for entry in useful) / (end - begin) / self._crew.workers,
+            utilisation=sum(took for took, _ in useful) / (end - begin) / self._crew.workers,
             age=float(np.median(ages)),
             outstanding=float(np.mean([n for time, n in self._leased if time >= begin])),
             rows_per_second=rows / (end - begin),
@@ -177,11 +177,7 @@ class Fleet:
 
     def _step(self) -> None:
         self._dispatch.tick(self.now)
-        for run, pipeline in self._pipelines.items():
-            while (asked := pipeline.ask()) is not None:
-                self._dispatch.submit(
-                    run, "scene", "prior", asked.number, asked.indices, asked.trials, asked.genomes
-                )
+        self._ask()
         for lease in self._dispatch.leases(self.now):
             self._at(self.now + LATENCY, lambda lease=lease: self._take(lease))  # type: ignore[misc]
         self._leased.append((self.now, self._dispatch.counters["leased"] - len(self._useful)))
@@ -190,6 +186,18 @@ class Fleet:
             self._at(self.now, self._turn)
         elif self._dispatch.next_deadline() < inf:
             self._at(max(self.now, self._dispatch.next_deadline()) + 0.01, lambda: self._arrive(_nothing))
+
+    def _ask(self) -> None:
+        """Queue what may be asked; what rows cost is known from the first one on."""
+        is_first = not self._dispatch._backlog._queues
+        told, self._told = self._told, set()
+        for run in sorted(told):
+            while (asked := self._pipelines[run].ask()) is not None:
+                self._dispatch.submit(
+                    run, "scene", "prior", asked.number, asked.indices, asked.trials, asked.genomes
+                )
+        for queue in self._dispatch._backlog._queues.values() if is_first else ():
+            queue.pace.measure(50, 50 * self._crew.row_seconds)
 
     def _settle(self, hand: Hand, lease: Lease, seconds: float) -> None:
         batch = lease.batch
@@ -211,6 +219,7 @@ class Fleet:
         settled = self._dispatch.settle(hand.wid, result, rows, self.now)
         if settled.rows is not None:
             self._pipelines[batch.run].settle(settled.rows, seconds)
+            self._told.add(batch.run)
             self._useful.append((self.now, seconds, len(batch)))
         if settled.superseded is not None and settled.superseded in self._hands:
             self._hands[settled.superseded].pending.pop(batch.id, None)
@@ -223,6 +232,11 @@ class Fleet:
         self._join(hand)
         self._at(self.now + self._time(self._crew.life), lambda: self._die(hand))
         self._at(self.now + self._time(self._crew.freeze), lambda: self._freeze(hand))
+
+    def _begin(self) -> float:
+        """When a worker of the beginning is there: at once, or when it thaws."""
+        is_frozen = self._chance.random() < FROZEN / (FROZEN + self._crew.freeze)
+        return float(self._chance.uniform(0, FROZEN)) if is_frozen else 0.0
 
     def _time(self, mean: float) -> float:
         return float(self._chance.exponential(mean)) if mean < inf else inf

@@ -12,6 +12,7 @@ from typing import Any
 from unittest.mock import patch
 
 import msgspec
+from tests.simulation.plan import wild
 from tests.simulation.play import play
 
 from qdgrasp_coordinator import dispatch as dispatching
@@ -289,7 +290,7 @@ def noticed(mutation: Mutation, most: int = MOST, first: int = 0) -> tuple[str, 
     """The invariant that noticed a mutation, and after how many histories; None: none did."""
     with mutation.applied():
         for count, number in enumerate(range(first, first + most), 1):
-            verdict = play(number)
+            verdict = play(wild(number))
             if verdict.violated is not None:
                 return verdict.violated.invariant, count
     return None

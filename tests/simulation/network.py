@@ -114,9 +114,9 @@ class Network:
                     sessions.remove(session)
         if not flushed:
             session.connection += 1
-        if session.is_up:
+        was_up, session.is_up = session.is_up, False
+        if was_up:
             self._announce(session.tokens, alive=False)
-        session.is_up = False
 
     def subscribe(self, session: Session, pattern: str) -> None:
         """Hear messages."""
@@ -238,6 +238,8 @@ class Network:
         return {key for session in self.sessions if session.is_up for key in session.tokens}
 
     def _announce(self, keys: set[str], *, alive: bool) -> None:
+        """Tell all who watch; a key is gone when the last session that had it is."""
+        keys = keys if alive else keys - self._alive
         for session in self.sessions:
             if session.is_up and session.watched:
                 self._tell(session, keys, alive=alive)

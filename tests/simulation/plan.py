@@ -1,7 +1,7 @@
 """What a history is about, drawn from its number: the runs, the machines, the bus and what goes wrong."""
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from tests.coordinator.plans import Plan
 from tests.simulation.network import Terms
@@ -80,6 +80,11 @@ def draw(number: int) -> History:
         is_embedded=chance.random() < 0.5,
         faults=_faults(chance),
     )
+
+
+def wild(number: int) -> History:
+    """The history of a number, with every fault there is, and often."""
+    return replace(draw(number), faults={name: 2 * rate for name, rate in FAULTS.items()})
 
 
 def _run(chance: random.Random, seed: int, many: bool) -> Plan:

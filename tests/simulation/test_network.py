@@ -127,3 +127,19 @@ def test_clocks_differ_and_waiting_ends_when_they_show_it() -> None:
     assert clock.now >= before + 10.0
     assert world.now > 10.0
     assert all(one <= other for one, other in pairwise([before, clock.now]))
+
+
+def test_a_token_that_two_sessions_have_is_gone_with_the_second() -> None:
+    pair = Pair(Terms())
+    third = pair.network.open(Listener(pair.world, "eve"))
+    pair.network.watch(pair.hearer, "live/*")
+    for session in (pair.sender, third):
+        pair.network.token(session, "live/twin")
+    pair.run(5)
+    pair.network.close(third)
+    pair.run(5)
+    assert [event.alive for _, event in pair.bob.heard if isinstance(event, TokenChange)] == [True, True]
+    pair.network.close(pair.sender)
+    pair.run(5)
+    assert isinstance(pair.bob.heard[-1][1], TokenChange)
+    assert not pair.bob.heard[-1][1].alive
