@@ -61,7 +61,7 @@ def garble(wal: Path) -> None:
         file.write(bytes(1000))
 
 
-@pytest.mark.parametrize("tear", [cut, garble])
+@pytest.mark.parametrize("tear", [cut, pytest.param(garble, marks=pytest.mark.slow)])
 def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
     household: Household, expected: str, tear: Callable[[Path], None]
 ) -> None:
@@ -74,6 +74,7 @@ def test_a_recorder_whose_last_page_is_torn_gets_what_it_lost_again(
     assert ends_well(household) == expected
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_for_a_while_is_waited_for(household: Household, expected: str) -> None:
     recorder = household["recorder"]
     largest = max(file.stat().st_size for file in household.run.glob(f"{FILE}*"))
@@ -87,6 +88,7 @@ def test_a_disk_that_is_full_for_a_while_is_waited_for(household: Household, exp
     assert ends_well(household) == expected
 
 
+@pytest.mark.slow
 def test_the_head_and_half_of_the_workers_are_killed_at_once(household: Household, expected: str) -> None:
     for name in ("coordinator", "recorder", "worker-0", "worker-1"):
         household[name].send(signal.SIGKILL)
@@ -109,6 +111,7 @@ def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
     assert RunFolder.open(household.run).job.epoch == 2
 
 
+@pytest.mark.slow
 def test_a_recorder_that_stands_still_keeps_its_folder_and_goes_on(
     household: Household, expected: str
 ) -> None:
