@@ -17,7 +17,7 @@ from qdgrasp_coordinator.watch import COORDINATOR, Watch
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.crew import Crew
-from qdgrasp_protocol.endpoint import from_here, parse_all
+from qdgrasp_protocol.endpoint import parse_all
 from qdgrasp_protocol.errors import EndpointError, MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
@@ -98,7 +98,6 @@ class Supervisor:
             if self._stop.is_set or watch.is_done or endpoint is None:
                 return
             self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
-            endpoint = from_here(endpoint)
             self._door = replace(self._door, listen=endpoint)  # one that is started again is found there
             near = parse_all(endpoint)[0].from_here
             self._hire_recorder(crew, near)

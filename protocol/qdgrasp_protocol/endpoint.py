@@ -13,7 +13,6 @@ log = structlog.get_logger()
 HOME, PORT = "127.0.0.1", 7447
 HOST_AND_PORT = re.compile(r"(?P<protocol>tcp|tls|quic|udp|ws)/(?P<host>[^\s,]+):(?P<port>[0-9]{1,5})(#\S+)?")
 SOCKET_FILE = re.compile(r"(?P<protocol>unixsock-stream)/[^\s,]+")
-ANYWHERE = {"0.0.0.0": HOME, "::": "[::1]"}  # noqa: S104 - what others listen on
 ENCRYPTED = frozenset({"tls", "quic"})
 
 
@@ -80,13 +79,6 @@ class Endpoint:
         if not address.is_unspecified:
             return self.text
         return f"{self.protocol}/{HOME if address.version == 4 else '[::1]'}:{self.port}"
-
-
-def from_here(text: str) -> str:
-    """Where this machine reaches a router that listens on one or more endpoints, maybe on every address."""
-    first, *_ = parse_all(text)
-    address = ANYWHERE.get(first.host)
-    return f"{first.protocol}/{address}:{first.port}" if address else first.text
 
 
 def parse_all(text: str) -> tuple[Endpoint, ...]:

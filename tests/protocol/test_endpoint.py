@@ -3,7 +3,7 @@
 import pytest
 from structlog.testing import capture_logs
 
-from qdgrasp_protocol.endpoint import Endpoint, check_open, from_here, home, parse_all
+from qdgrasp_protocol.endpoint import Endpoint, check_open, home, parse_all
 from qdgrasp_protocol.errors import EndpointError
 
 
@@ -77,17 +77,3 @@ def test_the_default_is_on_loopback() -> None:
 )
 def test_who_listens_everywhere_is_found_on_loopback(text: str, near: str) -> None:
     assert Endpoint.parse(text).from_here == near
-
-
-@pytest.mark.parametrize(
-    ("listened", "reached"),
-    [
-        ("tls/0.0.0.0:7447", "tls/127.0.0.1:7447"),
-        ("tcp/[::]:7447", "tcp/[::1]:7447"),
-        ("tls/0.0.0.0:1,tls/10.0.0.1:2", "tls/127.0.0.1:1"),
-        ("tls/head:7447", "tls/head:7447"),
-        ("unixsock-stream/tmp/a", "unixsock-stream/tmp/a"),
-    ],
-)
-def test_a_router_on_every_address_is_reached_over_loopback(listened: str, reached: str) -> None:
-    assert from_here(listened) == reached
