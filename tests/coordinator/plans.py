@@ -77,9 +77,11 @@ class Plan:
     task: Task = CHAIN
 
     def __str__(self) -> str:
-        """What differs from the defaults."""
-        changed = [field for field in fields(self) if getattr(self, field.name) != field.default]
-        return " ".join(f"{field.name}={getattr(self, field.name)}" for field in changed) or "plain"
+        """What differs from the defaults, but for the task: the same in all processes that collect tests."""
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "task"}
+        defaults = vars(Plan())
+        changed = [f"{name}={value}" for name, value in values.items() if value != defaults[name]]
+        return " ".join(changed) or "plain"
 
     def pipeline(self) -> Pipeline:
         """A new pipeline of this run."""
