@@ -73,7 +73,7 @@ def worker(
         if workers > 1:
             from qdgrasp_worker.serving.team import Team, arguments
 
-            Team(workers, arguments(context), grace, is_pinned=pin).run(stop)
+            Team(workers, arguments(context), grace=grace, wait=wait, is_pinned=pin).run(stop)
             raise typer.Exit(stop.exit_code)
         from qdgrasp_worker.serving.events import Inbox
         from qdgrasp_worker.serving.workshop import Workshop
