@@ -1,8 +1,8 @@
 """Where a run's rows go: to the recorder over the bus, or, where only a result is wanted, to memory."""
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from itertools import chain, repeat
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.stretch import Stretch, from_message, to_message
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import EndedEarly, InputError, NoReply, RecorderFellBack, Refused
+from qdgrasp_protocol.errors import EndedEarly, Faulty, InputError, NoReply, RecorderFellBack, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import (
     Log,
@@ -26,9 +26,9 @@ from qdgrasp_protocol.rows import Rows, Shape
 
 PAGE = 2048
 """Rows in one page of a replay."""
-PATIENCE = (1.0, 2.0, 4.0)
-"""Seconds that the first questions to a recorder wait: one on a link that was lost is lost."""
-LAST_PATIENCE = 10.0  # seconds that all others wait: a recorder may be slow
+PATIENCE, MOST_PATIENCE = 1.0, 10.0
+"""Seconds that a question to a recorder waits, at first and at most: one on a link that was lost is lost, and
+each that was waited for in vain doubles it, for a recorder may be slow."""
 
 
 class Record(ABC):
@@ -113,7 +113,7 @@ class RecorderLink(Record):
         try:
             request = Open(job=self._job, runs=[run], epoch=epoch)
             opened = codec.decode(self._ask(self._keys.open, request, wait), Opened)
-        except Refused as refusal:
+        except (Refused, Faulty) as refusal:
             raise InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
         self._run, self._epoch = run.run, opened.epoch
         self._outbox = Outbox(opened.durable[0])
@@ -131,7 +131,7 @@ class RecorderLink(Record):
         try:
             request = Log(run=self._run, first=first, limit=PAGE)
             page = codec.decode(self._ask(self._keys.log, request, wait), Recordable)
-        except Refused as refusal:
+        except (Refused, Faulty) as refusal:
             raise InputError(
                 f"The recorder does not show the rows of run '{self._run}': {refusal}."
             ) from None
@@ -139,11 +139,14 @@ class RecorderLink(Record):
 
     def _ask(self, key: str, request: Message, wait: Callable[[], None]) -> bytes:
         """The recorder's answer, asked for until it comes: a dead recorder is started again."""
-        patience = chain(PATIENCE, repeat(LAST_PATIENCE))
+        patience = PATIENCE
         while True:
+            began = time.monotonic()
             try:
-                answer = self._bus.ask(key, codec.encode(request), timeout=next(patience))
+                answer = self._bus.ask(key, codec.encode(request), timeout=patience)
             except NoReply:
+                if time.monotonic() >= began + patience:
+                    patience = min(2 * patience, MOST_PATIENCE)
                 self.trouble = f"no recorder of job '{self._job}' answers, or its disk is full"
                 wait()
             else:
