@@ -18,6 +18,7 @@ from qdgrasp_coordinator.journal_writer import fitting, insert
 from qdgrasp_coordinator.sources import Source
 from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_coordinator.summary import Summary, summary
+from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import COLUMNS, Rows, Shape
 from qdgrasp_protocol.spec import to_toml
@@ -38,12 +39,13 @@ def sources(folder: RunFolder) -> tuple[Source, ...]:
     Raises
     ------
     FolderError
-        Its journal cannot be read.
+        Its journal cannot be read, or grows meanwhile.
     """
     with folder.journal() as journal:
         if journal.sources:
             return journal.sources
         found = summary(folder)
+        _check_same(folder.path.absolute().name, journal.count, found.rows)
         return (
             Source(
                 run=folder.path.absolute().name,
@@ -94,7 +96,7 @@ def write(
     Raises
     ------
     DiskFull, FolderError
-        It cannot be written.
+        It cannot be written, or a source has other rows by now than it says.
     """
     file.unlink(missing_ok=True)
     with fitting(file.parent), closing(sqlite3.connect(file, isolation_level=None)) as database:
@@ -107,9 +109,17 @@ def write(
         for number, (source, blocks) in enumerate(parts):
             text = msgspec.json.encode(source).decode()
             database.execute("INSERT INTO sources VALUES (?, ?)", (number, text))
+            expected = first + source.kept
             for rows in blocks:
                 first = _insert(database, first, rows)
+            _check_same(source.run, expected, first)
         database.execute("COMMIT")
+
+
+def _check_same(run: str, expected: int, rows: int) -> None:
+    """Check that a run has as many rows as it had when it was looked at first."""
+    if rows != expected:
+        raise FolderError(f"'{run}' grew while it was read; wait until it is done, or stop it.")
 
 
 def _insert(database: sqlite3.Connection, first: int, rows: Rows) -> int:

@@ -1,5 +1,6 @@
 """Journals that keep successes alone: pruned runs and merged ones."""
 
+import importlib
 import itertools
 import sqlite3
 from contextlib import closing
@@ -24,6 +25,7 @@ from qdgrasp_coordinator.merging import merge
 from qdgrasp_coordinator.pruning import prune, prune_all
 from qdgrasp_coordinator.ranking import grasps
 from qdgrasp_coordinator.reduction import kept
+from qdgrasp_coordinator.stretch import Stretch
 from qdgrasp_coordinator.summary import Summary, summary
 from qdgrasp_coordinator.tally import successes
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError
@@ -215,3 +217,26 @@ def test_grasps_of_runs_with_different_priors_are_not_ranked_together(tmp_path, 
     merge(runs, tmp_path / "all")
     with pytest.raises(InputError, match="different priors, aimed and contact"):
         grasps(RunFolder(tmp_path / "all"))
+
+
+@pytest.mark.parametrize("moment", ["summary", "rows_of"])
+def test_a_run_that_grows_while_it_is_merged_is_refused(tmp_path, scene, runs, monkeypatch, moment) -> None:
+    rows = random_rows(60, seed=7)
+    rows["outcome"] = Outcome.HELD
+    growing = record(tmp_path / "growing", scene, rows[:40], evaluations=N, seed=7)
+    module = {"summary": "reduction", "rows_of": "merging"}[moment]
+    read = getattr(importlib.import_module(f"qdgrasp_coordinator.{module}"), moment)
+
+    def grown(folder: RunFolder, *rest: int) -> object:
+        with growing.journal() as journal:
+            known = journal.count
+        if folder is growing and known == 40:
+            with JournalWriter.open(growing.path) as journal:
+                journal.append(Stretch(40, rows[40:]), 1, 2.0)
+        return read(folder, *rest)
+
+    monkeypatch.setattr(f"qdgrasp_coordinator.{module}.{moment}", grown)
+    with pytest.raises(FolderError, match="'growing' grew while it was read; wait until it is done"):
+        merge([growing, runs[0]], tmp_path / "all")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["growing", "run-0", "run-1", "run-2"]
+    assert merge([growing, runs[0]], tmp_path / "all").rows == 60 + N
