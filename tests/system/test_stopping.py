@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,10 +11,12 @@ from pathlib import Path
 import pytest
 import trimesh
 from tests.endpoints import own_endpoint
-from tests.system.commands import SMALL, Commands, is_alive, processes_of, rows_recorded, wait_for
+from tests.system.commands import PATIENCE, SMALL, Commands, is_alive, processes_of, rows_recorded, wait_for
 from tests.system.test_faults import pids
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_protocol.bus import Query
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 PROMISED = 2.0
 """Seconds that a command may take to stop, on a machine that is not busy with something else."""
@@ -121,6 +124,29 @@ def stopped(qdgrasp: Commands, begin: Beginning, number: int) -> float:
 @pytest.mark.parametrize(("name", "number"), QUICK.items(), ids=QUICK)
 def test_a_command_stops_with_all_its_processes(qdgrasp: Commands, name: str, number: int) -> None:
     stopped(qdgrasp, BEGINNINGS[name], number)
+
+
+@pytest.mark.parametrize(
+    ("command", "number"), [(("jobs",), signal.SIGINT), (("pause", "mugs"), signal.SIGTERM)]
+)
+def test_a_question_stops_while_the_coordinator_stands_still(
+    qdgrasp: Commands, command: tuple[str, ...], number: int
+) -> None:
+    asked, rest, endpoint = threading.Event(), threading.Event(), own_endpoint()
+
+    def stand_still(_query: Query) -> bytes:
+        asked.set()
+        rest.wait(PATIENCE)
+        return b""
+
+    def ask(qdgrasp: Commands) -> subprocess.Popen[str]:
+        process = qdgrasp.start(*command, "--connect", endpoint)
+        assert asked.wait(PATIENCE)
+        return process
+
+    with ZenohBus.router(endpoint) as bus, bus.answer("qdgrasp/v1/mugs/**", stand_still):
+        stopped(qdgrasp, ask, number)
+        rest.set()
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def order(job: str, endpoint: str, security: Path | None, what: Order) -> None:
     InputError
         It cannot be done.
     """
-    with session(f"qdgrasp {what.act}", endpoint, security) as bus:
+    with session(endpoint, security) as bus:
         try:
             answer = bus.ask(Keys(job).control, codec.encode(what))
         except Refused as refusal:

@@ -7,15 +7,14 @@ from pathlib import Path
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.endpoint import home
-from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 PATIENCE = 3.0  # seconds that a router may take to answer
 
 
 @contextmanager
-def session(title: str, connect: str, security: Path | None, role: Role = Role.ADMIN) -> Iterator[Bus]:
-    """A session at a router, for a question or two.
+def session(connect: str, security: Path | None, role: Role = Role.ADMIN) -> Iterator[Bus]:
+    """A session at a router, for a question or two; a signal ends it, also while nobody answers.
 
     Raises
     ------
@@ -25,7 +24,7 @@ def session(title: str, connect: str, security: Path | None, role: Role = Role.A
         The folder of certificates lacks those of the role.
     """
     credentials = Credentials.find(security, role)
-    with lifetime(title) as stop, ZenohBus.connect(connect, PATIENCE, stop, credentials) as bus:
+    with ZenohBus.connect(connect, PATIENCE, credentials=credentials) as bus:
         yield bus
 
 

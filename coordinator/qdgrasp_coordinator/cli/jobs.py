@@ -20,7 +20,7 @@ def jobs(
     Example: qdgrasp jobs --connect tcp/head:7447
     """
     endpoint = place(connect, security)
-    with session("qdgrasp jobs", endpoint, security, Role.MONITOR) as bus:
+    with session(endpoint, security, Role.MONITOR) as bus:
         found = overview(bus)
     if as_json:
         typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
