@@ -13,7 +13,7 @@ from typing import Self
 
 import structlog
 
-from qdgrasp_protocol.errors import NoReply, Refused
+from qdgrasp_protocol.errors import BusError, Faulty, NoReply, Refused
 
 log = structlog.get_logger()
 
@@ -53,7 +53,7 @@ QueryHandler = Callable[[Query], bytes]
 """Answers a query.
 
 Raising `Refused` becomes an error reply that carries the reason, `NoReply` leaves the asker without an
-answer; anything else is a fault of ours: it is logged, and the asker is refused with the error's name.
+answer; anything else is a fault of ours: it is logged, and the asker hears the error's name as `Faulty`.
 """
 ValuesHandler = Callable[[Query], Mapping[str, bytes]]
 """Answers a query that may be a pattern, with values by their concrete keys; raises as a `QueryHandler`."""
@@ -81,14 +81,12 @@ class Declaration(AbstractContextManager[None]):
             self.undo()
 
 
-def reason_of(error: Exception, key: str) -> str | None:
-    """What the asker is told of an error in a query handler; None: nothing, so that it gets no reply."""
-    if isinstance(error, NoReply):
-        return None
-    if isinstance(error, Refused):
-        return str(error)
+def failure(error: Exception, key: str) -> BusError:
+    """What the asker is told of an error in a query handler; `NoReply`: nothing."""
+    if isinstance(error, Refused | NoReply):
+        return error
     log.error("a query was not answered", key=key, exc_info=error)
-    return f"internal error: {type(error).__name__}"
+    return Faulty(f"internal error: {type(error).__name__}")
 
 
 class Bus(ABC):
@@ -121,6 +119,8 @@ class Bus(ABC):
             The other side answered with a reason why not.
         NoReply
             Nobody answers there, or not within `timeout` seconds.
+        Faulty
+            The other side failed.
         """
 
     @abstractmethod

@@ -18,6 +18,7 @@
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
         * NoReply                nobody answered
+        * Faulty                 the other side failed by a fault of its own
     * MessageError           a message that is not of the protocol; counted and dropped
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
@@ -135,6 +136,10 @@ class Refused(BusError):
 
 class NoReply(BusError):
     """Nobody answered a query in time."""
+
+
+class Faulty(BusError):
+    """Whoever was asked failed by a fault of its own, of which its log tells; next time it may not."""
 
 
 class MessageError(QdgraspError):

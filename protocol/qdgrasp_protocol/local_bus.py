@@ -23,9 +23,9 @@ from qdgrasp_protocol.bus import (
     SampleHandler,
     TokenHandler,
     ValuesHandler,
-    reason_of,
+    failure,
 )
-from qdgrasp_protocol.errors import BusError, NoReply, Refused
+from qdgrasp_protocol.errors import BusError, NoReply
 from qdgrasp_protocol.keys import matches, meet
 
 log = structlog.get_logger()
@@ -68,8 +68,7 @@ class Answerer(Entry):
             try:
                 answer.set_result(self._handler(query))
             except Exception as error:  # noqa: BLE001 - whatever it is, the asker is told and the log too
-                reason = reason_of(error, query.key)
-                answer.set_exception(NoReply(str(error)) if reason is None else Refused(reason))
+                answer.set_exception(failure(error, query.key))
 
 
 class Watcher(Entry):

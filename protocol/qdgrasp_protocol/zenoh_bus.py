@@ -20,11 +20,11 @@ from qdgrasp_protocol.bus import (
     SampleHandler,
     TokenHandler,
     ValuesHandler,
-    reason_of,
+    failure,
 )
 from qdgrasp_protocol.credentials import Credentials
 from qdgrasp_protocol.endpoint import check_open, home, parse_all
-from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused, SecurityError
+from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused, SecurityError
 from qdgrasp_protocol.handshake import NotListening, Unreachable, plain
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
@@ -37,8 +37,11 @@ T = TypeVar("T")
 PORT_TRIES = 3
 """How many free ports are tried where somebody else is quicker."""
 SLICE = 1.0  # seconds of one try to connect; between two of them a signal is heard
-REFUSAL = "text/plain;qdgrasp.refusal"
-"""The encoding of a refusal; an error reply without it is zenoh's own (a time-out)."""
+TOLD: dict[type[BusError], str] = {
+    Refused: "text/plain;qdgrasp.refusal",
+    Faulty: "text/plain;qdgrasp.fault",
+}
+"""The encodings of error replies by what they tell; one without either is zenoh's own (a time-out)."""
 
 MAX_REASON = 1000
 """The most bytes that are shown of a refusal."""
@@ -209,8 +212,9 @@ class ZenohBus(Bus):
         for reply in replies:
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
-            if reply.err is not None and str(reply.err.encoding) == REFUSAL:
-                raise Refused(_printable(reply.err.payload.to_bytes()))
+            for kind, encoding in TOLD.items():
+                if reply.err is not None and str(reply.err.encoding) == encoding:
+                    raise kind(_printable(reply.err.payload.to_bytes()))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
     def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
@@ -330,9 +334,10 @@ def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
     try:
         values = handler(Query(key, str(query.parameters), payload))
     except Exception as error:  # noqa: BLE001 - whatever it is, the asker is told and the log too
-        reason = reason_of(error, key)
-        if reason is not None:
-            query.reply_err(reason.encode(), encoding=REFUSAL)
+        told = failure(error, key)
+        for kind, encoding in TOLD.items():
+            if isinstance(told, kind):
+                query.reply_err(str(told).encode(), encoding=encoding)
         return
     for concrete, value in values.items():
         if matches(key, concrete):

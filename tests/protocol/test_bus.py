@@ -18,7 +18,7 @@ from tests.endpoints import own_endpoint
 
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.endpoint import HOME, PORT
-from qdgrasp_protocol.errors import BusError, EndpointError, NoReply, Refused
+from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
@@ -162,13 +162,13 @@ class TestBus:
             with pytest.raises(Refused, match="no such scene: größer"):
                 near.ask("test/q")
 
-    def test_a_handler_that_fails_refuses_and_is_logged(self, near: Bus, far: Bus) -> None:
+    def test_a_handler_that_fails_is_no_refusal_and_is_logged(self, near: Bus, far: Bus) -> None:
         def fail(query: Query) -> bytes:
             raise ZeroDivisionError
 
         with far.answer("test/q", fail), capture_logs() as logs:
             connected(near, far)
-            with pytest.raises(Refused, match="ZeroDivisionError"):
+            with pytest.raises(Faulty, match="ZeroDivisionError"):
                 near.ask("test/q")
         assert logs[0]["key"] == "test/q"
 

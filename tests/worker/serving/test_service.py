@@ -203,6 +203,14 @@ def test_a_worker_that_its_only_job_refuses_says_why(hire, open_office):
     assert "Job 'job' does not take this worker: another numpy" in str(worker.error)
 
 
+def test_a_worker_whose_only_job_fails_by_a_fault_of_its_own_asks_again(hire, open_office):
+    office = open_office()
+    office.faults = 2
+    worker = hire(job="job")
+    office.wait(lambda: office.joins, "a join")
+    assert (office.faults, worker.error) == (0, None)
+
+
 def test_a_worker_that_one_of_many_jobs_refuses_serves_the_others(hire, open_office):
     refusing, other = open_office("refusing"), open_office("other")
     refusing.refusal = "another numpy"

@@ -9,7 +9,7 @@ from typing import Self
 import structlog
 
 from qdgrasp_protocol.bus import Bus, Sample
-from qdgrasp_protocol.errors import MessageError, NoReply, Refused
+from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, job_of, last_chunk, number
 from qdgrasp_protocol.messages import VERSION, Join, Joined
 from qdgrasp_worker.serving.appointment import Appointment
@@ -112,13 +112,13 @@ class Memberships:
             case Joined() as answer:
                 if appointment.answered(answer) and desk.epoch != epoch:
                     log.info("joined", job=desk.job, epoch=desk.epoch, worker=self._wid[:8])
-            case NoReply() | MessageError():
-                appointment.unanswered(now, jitter())
-            case reason:
+            case Refused() as reason:
                 appointment.refused()
                 log.error("a job does not take this worker", job=desk.job, reason=str(reason))
                 if self._only:
                     raise RefusedByJob(desk.job, reason)
+            case _:
+                appointment.unanswered(now, jitter())
         return appointment.let_go()
 
     def leave_drained(self) -> bool:
