@@ -104,7 +104,9 @@ def write(
         database.execute("BEGIN")
         database.execute(f"PRAGMA user_version = {REDUCED}")
         database.execute("CREATE TABLE sources (number INTEGER PRIMARY KEY, source TEXT NOT NULL) STRICT")
-        database.execute("INSERT INTO meta VALUES ('summary', ?)", (msgspec.json.encode(found).decode(),))
+        told = {"platform": found.platform, "summary": found}
+        meta = [(name, msgspec.json.encode(value).decode()) for name, value in told.items()]
+        database.executemany("INSERT INTO meta VALUES (?, ?)", meta)
         first = 0
         for number, (source, blocks) in enumerate(parts):
             text = msgspec.json.encode(source).decode()

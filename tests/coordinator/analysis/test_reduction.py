@@ -81,6 +81,17 @@ def test_a_pruned_run_has_its_successes_and_all_its_figures_and_takes_less_room(
     assert sorted(path.name for path in run.path.glob("run.sqlite*")) == ["run.sqlite"]
 
 
+def test_a_reduced_journal_says_on_what_its_rows_were_made(tmp_path, runs) -> None:
+    here = {"pybullet": "3.2.7", "machine": "x86_64"}
+    for run, machine in zip(runs, ("x86_64", "x86_64", "arm64"), strict=True):
+        with JournalWriter.open(run.path) as journal:
+            journal.set_platform(here | {"machine": machine})
+    prune(runs[0])
+    merge(runs, tmp_path / "all")
+    with runs[0].journal() as pruned, RunFolder(tmp_path / "all").journal() as merged:
+        assert (pruned.platform, merged.platform) == (here, {"pybullet": "3.2.7"})
+
+
 def test_what_needs_every_row_is_refused_with_the_digest_that_the_run_had(runs) -> None:
     run, *_ = runs
     before = digest_of(run)
