@@ -63,6 +63,12 @@ def test_a_unit_is_stopped_politely_and_is_no_ones_door_into_the_system(unit: Pa
     assert settings.get("DynamicUser") == ["yes"] or settings["User"] != ["root"]
 
 
+def test_the_folder_of_a_job_can_appear_within_what_its_recorder_may_write() -> None:
+    unit = DEPLOY / "systemd" / "qdgrasp-recorder@.service"
+    (state,) = read(unit)["StateDirectory"]
+    assert understood(command(unit))["out"].parent == Path("/var/lib") / state
+
+
 def test_a_worker_is_waited_for_longer_than_its_grace() -> None:
     unit = DEPLOY / "systemd" / "qdgrasp-worker@.service"
     settings = read(unit)
