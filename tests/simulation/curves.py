@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from math import isnan, nan
 from pathlib import Path
 
 from tests.simulation.fleet import Crew, Figures, Fleet, Task
@@ -43,7 +44,7 @@ PANELS = (RUNS, BATCHES, CREWS)
 
 def _runs() -> Iterable[Line]:
     for population, in_flight in ((500, 1), (500, 2), (500, 4), (4096, 1)):
-        yield Line(RUNS, f"1 run, {in_flight} x {population} in flight", Task(1, population, in_flight), {})
+        yield Line(RUNS, f"1 run, {in_flight} x {population}", Task(1, population, in_flight), {})
     for runs in (16, 64, 256):
         yield Line(RUNS, f"{runs} runs, 1 x 500", Task(runs), {})
 
@@ -55,8 +56,8 @@ def _batches() -> Iterable[Line]:
 
 
 def _crews() -> Iterable[Line]:
-    crews = {"alike": {}, "3 times apart": {"spread": 0.55}, "frozen now and then": {"freeze": 300.0}}
-    for task, what in ((Task(1, 500, 2), "1 run, 2 x 500"), (Task(64), "64 runs")):
+    crews = {"alike": {}, "3 times apart": {"spread": 0.55}, "some freeze": {"freeze": 300.0}}
+    for task, what in ((Task(1, 500, 2), "1 run"), (Task(64), "64 runs")):
         for name, crew in crews.items():
             yield Line(CREWS, f"{what}: {name}", task, crew)
 
@@ -108,11 +109,15 @@ def read(file: Path) -> list[Point]:
                 row.pop("panel"),
                 row.pop("line"),
                 int(row.pop("workers")),
-                Figures(**{name: float(value) for name, value in row.items()}),
+                Figures(**{name: float(value or nan) for name, value in row.items()}),
             )
             for row in csv.DictReader(lines)
         ]
 
 
 def _rounded(row: dict[str, object]) -> dict[str, object]:
-    return {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in row.items()}
+    """Four digits; nothing where nothing was seen."""
+    return {
+        name: ("" if isnan(value) else f"{value:.4g}") if isinstance(value, float) else value
+        for name, value in row.items()
+    }

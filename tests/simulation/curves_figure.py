@@ -9,10 +9,10 @@ from tests.simulation.curves import BATCHES, CREWS, LINES, RUNS, SIZES, Panel, P
 
 from qdgrasp_coordinator.analysis.palette import FAINT, INK, RULE
 
-CREWS_AT_WORK = {
-    "runs": "Which share of the workers' time counts, by what is in flight",
+TITLES = {
+    "runs": "Which share of the workers' time counts, by what is in flight (colours: beside)",
     "batches": "The same with 64 runs, by rows in a batch",
-    "crews": "The same where workers differ or fail",
+    "crews": "The same where workers differ or freeze: 1 run of 2 x 500, and 64",
     "age": "From the ask of a generation to its tell",
 }
 HUES = ("#0072b2", "#56b4e9", "#009e73", "#4d4d4d", "#e69f00", "#d55e00", "#cc79a7")
@@ -74,8 +74,9 @@ def _dress(axes: Axes, what: str) -> None:
     axes.set_xticks(SIZES, [f"{size:,}".replace(",", " ") for size in SIZES])
     axes.minorticks_off()
     axes.set_xlabel("workers", color=FAINT)
-    axes.set_title(CREWS_AT_WORK[what], loc="left", fontsize=10.5, color=INK)
+    axes.set_title(TITLES[what], loc="left", fontsize=10.5, color=INK)
     axes.grid(color=RULE, lw=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=FAINT, labelsize=8.5)
-    axes.legend(frameon=False, fontsize=8.5, labelcolor=INK)
+    if what != "runs":  # the lines are those of the panel beside it
+        axes.legend(loc="upper right", frameon=False, fontsize=8, labelcolor=INK)

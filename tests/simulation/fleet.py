@@ -10,7 +10,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, nan
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Figures:
     utilisation: float
     """The share of the workers' time that went into rows that count."""
     age: float
-    """The median time from the ask of a generation to its tell [s]."""
+    """The median time from the ask of a generation to its tell [s]; NaN: none was told."""
     outstanding: float
     """Batches leased and not settled, on average."""
     rows_per_second: float
@@ -141,7 +141,7 @@ class Fleet:
     def _figures(self, begin: float, end: float) -> Figures:
         useful = [(min(took, at - begin), rows) for at, took, rows in self._useful if at > begin]
         rows = sum(n for _, n in useful)
-        ages = [age for time, age in self.ages if time >= begin] or [age for _, age in self.ages]
+        ages = [age for time, age in self.ages if time >= begin] or [nan]
         return Figures(
             utilisation=sum(took for took, _ in useful) / (end - begin) / self._crew.workers,
             age=float(np.median(ages)),

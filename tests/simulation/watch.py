@@ -39,7 +39,7 @@ INVARIANTS = {
     "acknowledged when durable": "no number is reported that is not on the disk",
     "epochs rise": "each turn has an epoch of its own; no rows of a lower one than the last are taken",
     "fenced": "a worker holds nothing of another epoch, or of an older join that it did not list then",
-    "bounded work": "nobody is leased or holds more batches than its credit",
+    "bounded work": "nobody is leased more than its credit, or holds more but what was taken back unheard",
     "bounded memory": "no container grows beyond its stated bound",
     "work is handed out": "no worker with credit waits while a batch does",
     "patience while cut off": "nobody is given up while the coordinator's own link is down",
