@@ -89,11 +89,13 @@ def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alo
     office.wait(lambda: not office.workers, "the end of its token")
     assert office.answered() == [1]
     other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
+    joins = len(office.joins)
     worker.bus.cut()
     worker.bus.mend()
     other.wait(lambda: len(other.joins) > 2, "a join after the link was back")
     other.give(work(2))
     other.wait(lambda: other.results, "a result")
+    assert (office.workers, len(office.joins)) == (set(), joins)
 
 
 def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(hire, open_office):

@@ -3,10 +3,13 @@
 Rule 2 of docs/bus.md, decided without a bus. Time is passed in, in seconds of any steady clock.
 """
 
+from math import inf
+
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.messages import Joined
 from qdgrasp_worker.serving.desk import Desk
 
+LAST = 60.0  # seconds without a coordinator after which an appointment is over, once nothing is held
 RETRY_FIRST, RETRY_LAST = 0.05, 2.0
 """Seconds between tries to join, before jitter."""
 
@@ -17,6 +20,7 @@ class Appointment:
     def __init__(self, job: str) -> None:
         self.desk = Desk(job)
         self._there: set[int] = set()
+        self._left_at = 0.0
         self.credit = 0
         """The credit that was asked for last."""
         self.is_asking = False
@@ -30,6 +34,11 @@ class Appointment:
     def alive(self) -> bool:
         """Whether a coordinator that it may follow is there."""
         return any(self.desk.follows(epoch) for epoch in self._there)
+
+    @property
+    def ends_at(self) -> float:
+        """When it is over, as nobody is there and nothing is held; infinite: it goes on."""
+        return inf if self._there or self.desk.held else self._left_at + LAST
 
     @property
     def join_at(self) -> float | None:
@@ -48,6 +57,7 @@ class Appointment:
     def meet(self, epoch: int, alive: bool, now: float) -> None:
         """Hear that a coordinator's token is there, or is gone."""
         (self._there.add if alive else self._there.discard)(epoch)
+        self._left_at = now
         is_left = not alive and epoch == self.desk.epoch
         self.desk.is_orphaned |= is_left
         if is_left or (alive and self.desk.follows(epoch)):

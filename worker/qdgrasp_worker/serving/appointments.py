@@ -15,6 +15,8 @@ class Appointments:
 
     def __init__(self) -> None:
         self._jobs: dict[str, Appointment] = {}
+        self._number = 0
+        """The highest number of a join to a job that is served no more: numbers go on from there."""
 
     def __iter__(self) -> Iterator[Appointment]:
         return iter(list(self._jobs.values()))
@@ -26,11 +28,12 @@ class Appointments:
     def add(self, job: str) -> Appointment:
         """Begin to serve a job."""
         appointment = self._jobs[job] = Appointment(job)
+        appointment.desk.number = self._number
         return appointment
 
     def end(self, job: str) -> None:
         """Serve a job no more."""
-        del self._jobs[job]
+        self._number = max(self._number, self._jobs.pop(job).desk.number)
 
     @property
     def share(self) -> int:
@@ -49,3 +52,7 @@ class Appointments:
         """When the next try to join is due; infinite: nothing is to be tried."""
         times = (appointment.join_at for appointment in self)
         return min((time for time in times if time is not None), default=inf)
+
+    def next_end(self) -> float:
+        """When the next appointment is over; infinite: all go on."""
+        return min((appointment.ends_at for appointment in self), default=inf)

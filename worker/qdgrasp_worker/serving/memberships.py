@@ -14,9 +14,13 @@ from qdgrasp_protocol.keys import Keys, job_of, last_chunk, number
 from qdgrasp_protocol.messages import VERSION, Join, Joined
 from qdgrasp_worker.serving.appointment import Appointment
 from qdgrasp_worker.serving.appointments import Appointments
+from qdgrasp_worker.serving.desk import Desk
 from qdgrasp_worker.serving.errands import Answered, Errands
 
 log = structlog.get_logger()
+
+LEFT = 1000
+"""So many jobs that this worker was drained of are remembered."""
 
 
 class RefusedByJob(Refused):
@@ -63,9 +67,8 @@ class Memberships:
             return
         appointment = self._jobs.get(job)
         if is_alive and appointment is None and epoch > self._left.get(job, -1):
-            appointment = self._open(job)
-        if not is_alive:
             self._left.pop(job, None)
+            appointment = self._open(job)
         if appointment is not None:
             appointment.meet(epoch, is_alive, now)
 
@@ -131,15 +134,31 @@ class Memberships:
             desk = appointment.desk
             if desk.is_draining and not desk.held:
                 log.info("left a job, as its coordinator asked", job=desk.job)
-                self._jobs.end(desk.job)
-                self._left[desk.job] = desk.epoch
-                self._hand_in(desk.job)
+                self._note_left(desk)
+                self._close(desk.job)
                 is_last = self._only is not None
         return is_last
+
+    def end_over(self, now: float) -> None:
+        """End the appointments with jobs that have had no coordinator for long."""
+        for appointment in self._jobs:
+            if now >= appointment.ends_at:
+                log.info("a job has no coordinator any more", job=appointment.desk.job)
+                self._close(appointment.desk.job)
+
+    def _note_left(self, desk: Desk) -> None:
+        """Note not to come back to a coordinator, also when its link was down meanwhile."""
+        self._left[desk.job] = desk.epoch
+        if len(self._left) > LEFT:
+            del self._left[next(iter(self._left))]
 
     def _open(self, job: str) -> Appointment:
         self._tokens[job] = self._bus.token(Keys(job).worker_token(self._wid))
         return self._jobs.add(job)
+
+    def _close(self, job: str) -> None:
+        self._jobs.end(job)
+        self._hand_in(job)
 
     def _hand_in(self, job: str) -> None:
         self._tokens.pop(job).__exit__(None, None, None)

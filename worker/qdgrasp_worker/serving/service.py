@@ -116,6 +116,7 @@ class WorkerService:
         if self._workshop.platform is not None:
             is_open = self._workshop.is_ready and not self._leave.has_begun
             self._memberships.join_due(now, self._workshop.platform, is_open=is_open)
+        self._memberships.end_over(now)
         if self._memberships.leave_drained():
             self._leave.at_once()
         if self._workshop.head is not None and now >= self._sign_at:
@@ -131,7 +132,8 @@ class WorkerService:
         """Seconds to wait for the inbox; None: for ever."""
         join_at = inf if self._workshop.platform is None else self._jobs.next_join()
         sign_at = inf if self._workshop.head is None else self._sign_at
-        first = min(join_at, self._leave.deadline, self._workshop.opens_at, sign_at)
+        end_at = self._jobs.next_end()
+        first = min(join_at, end_at, self._leave.deadline, self._workshop.opens_at, sign_at)
         return None if first == inf else max(0.0, first - now)
 
     def _hear(self, patience: float | None) -> None:

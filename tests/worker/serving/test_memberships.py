@@ -1,0 +1,106 @@
+"""What a worker is to the jobs it hears of, told apart by time and epochs alone."""
+
+from collections.abc import Iterator
+from math import inf
+
+import pytest
+from tests.worker.serving.batches import work
+
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.messages import Control, Join, Joined
+from qdgrasp_worker.serving.appointment import LAST, Appointment
+from qdgrasp_worker.serving.appointments import Appointments
+from qdgrasp_worker.serving.errands import Answered
+from qdgrasp_worker.serving.memberships import Memberships
+
+WID = "a" * 32
+
+
+class Questions:
+    """Errands that are noted only."""
+
+    def __init__(self) -> None:
+        self.joins: list[tuple[str, Join]] = []
+
+    def join(self, job: str, join: Join) -> None:
+        self.joins.append((job, join))
+
+
+class Life:
+    """A worker's memberships, and who sees its tokens."""
+
+    def __init__(self) -> None:
+        network = LocalNetwork()
+        self.questions = Questions()
+        self.jobs = Appointments()
+        self.tokens: set[str] = set()
+        self.bus = network.session()
+        network.session().watch("qdgrasp/v1/*/live/worker/*", self._see)
+        self.memberships = Memberships(self.bus, self.questions, self.jobs, WID, None)
+
+    def meet(self, job: str, epoch: int, now: float, *, is_alive: bool = True) -> None:
+        self.memberships.meet(Keys(job).coordinator_token(epoch), is_alive, now)
+
+    def join(self, job: str, epoch: int, now: float) -> Appointment:
+        """Join all jobs that are to be joined, and have one answer."""
+        self.memberships.join_due(now, {}, is_open=True)
+        appointment = self.jobs.get(job)
+        self.memberships.answered(Answered(job, appointment.desk.number, Joined(epoch=epoch, drop=[])), now)
+        return appointment
+
+    def _see(self, key: str, is_alive: bool) -> None:
+        (self.tokens.add if is_alive else self.tokens.discard)(key)
+
+
+@pytest.fixture
+def life() -> Iterator[Life]:
+    life = Life()
+    with life.bus:
+        yield life
+
+
+def test_a_thousand_jobs_that_ended_leave_nothing_behind(life):
+    for i in range(1000):
+        life.meet(f"job-{i}", 1, float(i))
+        life.meet(f"job-{i}", 1, i + 0.5, is_alive=False)
+        life.memberships.end_over(float(i))
+    assert len(life.tokens) <= LAST + 1
+    life.memberships.end_over(1000 + LAST)
+    assert (list(life.jobs), life.tokens, life.jobs.next_end()) == ([], set(), inf)
+
+
+def test_a_job_whose_coordinator_is_there_or_of_which_something_is_held_goes_on(life):
+    life.meet("job", 1, 0.0)
+    desk = life.join("job", 1, 0.0).desk
+    desk.accept(work(1))
+    assert life.jobs.next_end() == inf
+    life.meet("job", 1, 5.0, is_alive=False)
+    life.memberships.end_over(1e6)
+    assert life.jobs.next_end() == inf
+    desk.release(work(1).batch)
+    assert life.jobs.next_end() == 5.0 + LAST
+
+
+def test_the_numbers_of_joins_go_on_where_a_job_comes_back_after_its_end(life):
+    life.meet("job", 1, 0.0)
+    for now in (0.0, 1.0, 2.0):
+        life.join("job", 1, now)
+        life.memberships.reconnected(now)
+    life.meet("job", 1, 3.0, is_alive=False)
+    life.memberships.end_over(3.0 + LAST)
+    life.meet("job", 1, 100.0)
+    life.join("job", 1, 100.0)
+    numbers = [join.number for _, join in life.questions.joins]
+    assert numbers == sorted(set(numbers))
+
+
+def test_a_job_that_was_left_is_joined_again_for_a_later_coordinator_only(life):
+    life.meet("job", 7, 0.0)
+    life.join("job", 7, 0.0).desk.control(Control(epoch=7, drop=[], drain=True))
+    life.memberships.leave_drained()
+    life.meet("job", 7, 1.0, is_alive=False)
+    life.meet("job", 7, 2.0)
+    assert list(life.jobs) == []
+    life.meet("job", 8, 3.0)
+    assert [appointment.desk.job for appointment in life.jobs] == ["job"]
