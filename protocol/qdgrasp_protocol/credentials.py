@@ -8,8 +8,8 @@ from pathlib import Path
 
 from qdgrasp_protocol.errors import SecurityError
 
-OTHERS = stat.S_IWGRP | stat.S_IRWXO
-"""A group may read a key: that is how systemd and Kubernetes hand one to a service."""
+OTHERS = stat.S_IRWXG | stat.S_IRWXO
+"""The permissions of everybody but a key's owner."""
 
 
 class Role(StrEnum):
@@ -53,7 +53,7 @@ class Credentials:
         Raises
         ------
         SecurityError
-            A file is missing, or others on this machine can read the key.
+            A file is missing or cannot be read, or others on this machine can read the key.
         """
         if folder is None:
             return None
@@ -82,7 +82,16 @@ class Credentials:
         return self.folder / f"{self.role}.json5"
 
     def check(self) -> None:
-        """See that everything is there, and that nobody else can read the key."""
+        """See that everything is there for us, and that nobody else can read the key."""
+        try:
+            self._check()
+        except OSError as error:
+            raise SecurityError(
+                f"{error.filename} cannot be read ({error.strerror}): the files of a {self.role} are to be "
+                "those of the user who runs it."
+            ) from None
+
+    def _check(self) -> None:
         needed = [self.authority, self.certificate, self.key]
         if self.role is Role.ROUTER:
             needed.append(self.configuration)
@@ -92,16 +101,18 @@ class Credentials:
                 f"{self.folder} lacks {' and '.join(missing)}, which the {self.role} needs; "
                 "copy them from the folder that `qdgrasp security init` wrote."
             )
+        for path in needed:
+            path.open("rb").close()
         if stat.S_IMODE(self.key.stat().st_mode) & _strangers(self.key):
             raise SecurityError(
-                f"Others on this machine can read {self.key}; `chmod 600 {self.key}` mends it."
+                f"Others on this machine can read or change {self.key}; `chmod 600 {self.key}` mends it."
             )
 
 
 def _strangers(key: Path) -> int:
     """The permissions that a key must not give.
 
-    Where a service manager hands root's key to a group of one (Kubernetes, systemd), that group may read it.
+    Kubernetes and systemd hand a key to a service so: it stays root's, and a group of one may read it.
     """
     is_handed_over = key.stat().st_uid == 0 and os.geteuid() != 0
     return OTHERS & ~stat.S_IRGRP if is_handed_over else OTHERS

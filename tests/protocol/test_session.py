@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from qdgrasp_protocol.endpoint import parse_all
 from qdgrasp_protocol.errors import EndpointError, SecurityError
 from qdgrasp_protocol.session import SETTINGS, nested, settings, to_json5
 
+NOBODY = 65534
 WORKER = Credentials(Path("/etc/qdgrasp"), Role.WORKER)
 ROUTER = Credentials(Path("/etc/qdgrasp"), Role.ROUTER)
 
@@ -82,9 +84,28 @@ def test_a_router_needs_its_access_list(tmp_path: Path) -> None:
         Credentials.find(tmp_path, Role.ROUTER)
 
 
-@pytest.mark.parametrize("mode", [0o620, 0o604, 0o666])
+@pytest.fixture
+def nobody() -> Iterator[None]:
+    """Whoever runs the tests, without the rights of root."""
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(NOBODY)
+    yield
+    os.seteuid(user)
+
+
+def test_a_folder_of_another_user_is_one_sentence(tmp_path: Path, nobody: None) -> None:
+    folder = tmp_path / "theirs"
+    if os.geteuid() != NOBODY:
+        folder.mkdir(0)
+    with pytest.raises(SecurityError, match=r"cannot be read \(Permission denied\)") as caught:
+        Credentials.find(folder, Role.WORKER)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o620, 0o604, 0o666])
 def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
-    (filled(tmp_path) / "worker.key").chmod(0o440)
+    (filled(tmp_path) / "worker.key").chmod(0o400)
     Credentials.find(tmp_path, Role.WORKER)
     (tmp_path / "worker.key").chmod(mode)
     with pytest.raises(SecurityError, match="chmod 600"):
@@ -96,9 +117,7 @@ def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> Non
 def test_a_group_may_read_what_root_hands_to_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, is_taken: bool
 ) -> None:
-    (filled(tmp_path) / "worker.key").chmod(0o440)
-    Credentials.find(tmp_path, Role.WORKER)
-    (tmp_path / "worker.key").chmod(mode)
+    (filled(tmp_path) / "worker.key").chmod(mode)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     with nullcontext() if is_taken else pytest.raises(SecurityError):
         Credentials.find(tmp_path, Role.WORKER)
