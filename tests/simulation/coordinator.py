@@ -18,7 +18,7 @@ from qdgrasp_coordinator.service import MAX_PATIENCE
 from qdgrasp_coordinator.turn import Turn
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import EndedEarly, InputError, NoReply, RecorderFellBack, Refused
+from qdgrasp_protocol.errors import InputError, NoReply, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import last_chunk
 from qdgrasp_protocol.messages import Join, Message
 
@@ -113,7 +113,7 @@ class Coordinator(Process):
                 yield Listen(self._patience())
                 yield Busy(self.world.chance.uniform(0, 0.005))
                 self._step()
-        except EndedEarly as reason:
+        except TookOver as reason:
             self.note(str(reason))
             self.was_replaced = True
 
@@ -191,9 +191,8 @@ class Coordinator(Process):
             opened = lane.open(self.turn.epoch, not_now)
         except (NotNow, NoReply):
             self.world.later(RETRY, lambda: self._try_to_open(run))
-        except InputError as refusal:
-            is_over = "another coordinator took over" in str(refusal)
-            self.hear(Failed(EndedEarly(str(refusal)) if is_over else refusal))
+        except (InputError, TookOver) as refusal:
+            self.hear(Failed(refusal))
         else:
             self.note(f"opened {lane.run} in epoch {opened.epoch} with {opened.durable[0]} rows")
             self.world.later(self.world.exponential(self._opening), lambda: self.hear(Begun(lane, opened)))

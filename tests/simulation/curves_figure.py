@@ -10,11 +10,12 @@ from tests.simulation.curves import BATCHES, CREWS, LINES, RUNS, SIZES, Panel, P
 from qdgrasp_coordinator.analysis.palette import FAINT, INK, RULE
 
 TITLES = {
-    "runs": "Which share of the workers' time counts, by what is in flight (colours: beside)",
-    "batches": "The same with 64 runs, by rows in a batch",
-    "crews": "The same where workers differ or freeze: 1 run of 2 x 500, and 64",
-    "age": "From the ask of a generation to its tell",
+    "runs": "Share of time that counts, by what is in flight",
+    "batches": "64 runs, by rows in a batch",
+    "crews": "1 run of 2 x 500, and 64 runs, where workers differ or freeze",
+    "age": "From the ask of a generation to its tell (colours: both)",
 }
+PLACES = {"batches": "upper right", "crews": "center right", "age": "upper right"}
 HUES = ("#0072b2", "#56b4e9", "#009e73", "#4d4d4d", "#e69f00", "#d55e00", "#cc79a7")
 """Of Okabe and Ito."""
 
@@ -79,4 +80,4 @@ def _dress(axes: Axes, what: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=FAINT, labelsize=8.5)
     if what != "runs":  # the lines are those of the panel beside it
-        axes.legend(loc="upper right", frameon=False, fontsize=8, labelcolor=INK)
+        axes.legend(loc=PLACES[what], frameon=False, fontsize=8, labelcolor=INK)
