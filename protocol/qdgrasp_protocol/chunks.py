@@ -12,6 +12,19 @@ SIZE = 512 << 10
 """Bytes of a bundle in one answer."""
 
 
+class TooLarge(MessageError):
+    """A scene that is larger than one can be.
+
+    Parameters
+    ----------
+    total
+        Its chunks.
+    """
+
+    def __init__(self, total: int) -> None:
+        super().__init__(f"the scene has {total} chunks, more than {codec.MAX_BUNDLE // SIZE}")
+
+
 def answer(query: Query, payload: bytes, digest: str) -> bytes:
     """The chunk of a bundle that a query names by `i=<number>`.
 
@@ -37,13 +50,15 @@ def fetch(bus: Bus, job: str, digest: str) -> bytes:
     ------
     NoReply, Refused
         The coordinator does not answer, or has no such scene.
+    TooLarge
+        It is larger than a scene can be.
     MessageError
-        What came is not the scene of that digest, or larger than one can be.
+        What came is not the scene of that digest.
     """
     key = Keys(job).asset(digest)
     first = codec.decode(bus.ask(key, parameters="i=0"), Chunk)
     if first.total * SIZE > codec.MAX_BUNDLE:
-        raise MessageError(f"the scene has {first.total} chunks, more than {codec.MAX_BUNDLE // SIZE}")
+        raise TooLarge(first.total)
     rest = [codec.decode(bus.ask(key, parameters=f"i={i}"), Chunk).data for i in range(1, first.total)]
     payload = b"".join([first.data, *rest])
     if hashlib.sha256(payload).hexdigest() != digest:

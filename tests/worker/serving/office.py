@@ -14,7 +14,7 @@ from qdgrasp_protocol.bus import Channel, Query, Sample
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.local_bus import LocalNetwork
-from qdgrasp_protocol.messages import Control, Join, Joined, Result, Work
+from qdgrasp_protocol.messages import Chunk, Control, Join, Joined, Result, Work
 
 PATIENCE = 200.0
 
@@ -39,6 +39,8 @@ class Office:
         self.refusal = ""
         self.faults = 0
         """So many joins end in an error of the coordinator's own."""
+        self.garbled = 0
+        """So many chunks of the scene are not what they should be."""
         self._keys = Keys(job)
         self._tray: deque[Work] = deque()
         self._leased: dict[bytes, Work] = {}
@@ -101,6 +103,9 @@ class Office:
 
     def _hand_out(self, query: Query) -> bytes:
         self.fetched += 1
+        if self.garbled:
+            self.garbled -= 1
+            return codec.encode(Chunk(total=1, data=b"something else"))
         return chunks.answer(query, self.scene, self.digest)
 
     def _take(self, sample: Sample) -> None:

@@ -12,6 +12,7 @@ from tests.worker.serving.batches import work
 from tests.worker.serving.hired import GRACE, Hired
 from tests.worker.serving.office import Office
 
+from qdgrasp_protocol import codec
 from qdgrasp_protocol.local_bus import LocalNetwork
 
 
@@ -228,6 +229,27 @@ def test_a_scene_that_is_no_scene_fails_its_batches(hire, open_office):
     office.give(work(1, n=2))
     office.wait(lambda: office.results, "a result")
     assert {failure.reason for failure in office.results[0].failures} == {"This is no scene."}
+
+
+def test_a_scene_that_comes_garbled_is_no_evidence_against_its_rows(hire, open_office):
+    office = open_office()
+    office.garbled = 2
+    hire()
+    office.give(work(1, n=2))
+    office.wait(lambda: office.results, "a result")
+    assert office.results[0].failures == []
+    assert office.fetched == 3
+
+
+def test_a_scene_that_is_larger_than_one_can_be_fails_its_batches(hire, open_office, monkeypatch):
+    monkeypatch.setattr(codec, "MAX_BUNDLE", 0)
+    office = open_office()
+    hire()
+    office.give(work(1, n=2))
+    office.wait(lambda: office.results, "a result")
+    assert {failure.reason for failure in office.results[0].failures} == {
+        "the scene has 1 chunks, more than 0"
+    }
 
 
 def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office):

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import structlog
 
-from qdgrasp_protocol.errors import BusError
+from qdgrasp_protocol.chunks import TooLarge
 from qdgrasp_worker.serving.appointments import Appointments
 from qdgrasp_worker.serving.desk import Desk
 from qdgrasp_worker.serving.errands import Fetched
@@ -75,17 +75,17 @@ class Belt:
             self._hand_back(task, now)
 
     def scene_came(self, fetched: Fetched, now: float) -> None:
-        """Take a scene; where there is none, its batches fail or are handed back, as the reason wants it."""
+        """Take a scene; where there is none, its batches are handed back, or fail if there can be none."""
         self._scenes.came(fetched)
         reason = fetched.bundle
         if isinstance(reason, bytes):
             return
         log.warning("a scene cannot be had", job=fetched.job, scene=fetched.scene[:12], reason=str(reason))
         for task in self._waiting_for(fetched.job, fetched.scene):
-            if isinstance(reason, BusError):
-                self._hand_back(task, now)
-            else:
+            if isinstance(reason, TooLarge):
                 self._fail(task, str(reason), now)
+            else:
+                self._hand_back(task, now)
 
     # What is next.
 
