@@ -7,13 +7,16 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 from tests.worker.serving import stand_in
 from tests.worker.serving.batches import work
 from tests.worker.serving.hired import GRACE, Hired
 from tests.worker.serving.office import Office
 
 from qdgrasp_protocol import codec
+from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.messages import Control, Work
 
 
 @pytest.fixture
@@ -186,6 +189,27 @@ def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_i
     office.wait(lambda: len(office.results) == 2, "two results")
     assert [failure.row for failure in office.results[0].failures] == [2]
     assert all(work(1).batch in join.held for join in office.joins[1:3])
+
+
+def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(hire, open_office):
+    office = open_office()
+    worker = hire()
+    office.wait(lambda: office.joins, "a join")
+    wid, control = office.joins[-1].wid, Control(epoch=1, drop=[], drain=True)
+    sent = [
+        (Keys("job").ctl(wid), work(1), codec.encoding(Work)),
+        (Keys("job").work(wid), control, codec.encoding(Control)),
+        (Keys("job").ctl(wid), control, "application/json"),
+    ]
+    with capture_logs() as logs:
+        for key, message, encoding in sent:
+            office.bus.put(key, codec.encode(message), encoding=encoding)
+        office.give(work(2))
+        office.wait(lambda: office.results, "a result")
+    assert office.answered() == [2]
+    assert office.workers
+    assert worker.thread.is_alive()
+    assert [entry["dropped"] for entry in logs if entry["event"] == "dropped a message"] == [1, 2]
 
 
 def test_a_batch_that_is_taken_back_is_not_answered(hire, open_office):

@@ -168,10 +168,10 @@ class WorkerService:
             return
         desk = appointment.desk
         try:
-            if sample.encoding == codec.encoding(Work):
-                desk.accept(codec.decode(sample.payload, Work))
-            elif sample.encoding == codec.encoding(Control):
-                desk.control(codec.decode(sample.payload, Control))
+            if sample.key == Keys(desk.job).work(self.wid):
+                desk.accept(codec.decoded(sample, Work))
+            else:
+                desk.control(codec.decoded(sample, Control))
         except MessageError as error:
             self._drops.note(sample.key, error)
 
