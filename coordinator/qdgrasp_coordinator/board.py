@@ -37,7 +37,7 @@ class Board:
         self._keys = Keys(job)
         self._lanes = lanes
         self._turn = turn
-        self._since = datetime.now(UTC).isoformat(timespec="seconds")
+        self._since = datetime.now(UTC).replace(microsecond=0)
         self._recorders: set[str] = set()
         self._due = 0.0
 

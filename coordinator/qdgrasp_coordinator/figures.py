@@ -1,10 +1,11 @@
 """The figures of a running search: defined once, published about once a second, shown by whoever listens."""
 
 import json
-from typing import Protocol, TypeVar
+from datetime import datetime
+from typing import Annotated, Protocol, TypeVar
 
 import msgspec
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import MessageError
 
@@ -166,8 +167,8 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     job: str
     epoch: int
     """The coordinator's turn; 0 before it has one: no recorder has answered yet."""
-    since: str
-    """When this coordinator started, ISO 8601, UTC."""
+    since: Annotated[datetime, Meta(tz=True)]
+    """When this coordinator started."""
     host: str
     """The coordinator's."""
     pid: int

@@ -30,8 +30,7 @@ class JobView(Struct, frozen=True, kw_only=True):
     def lines(self, now: datetime) -> Iterator[str]:
         """A few lines for a person; `now` is a time with its zone."""
         meta, figures = self.meta, self.figures
-        since = datetime.fromisoformat(meta.since)
-        ago = _span(round((now - since).total_seconds()))
+        ago = _span(round((now - meta.since).total_seconds()))
         yield f"{meta.job}: {figures.state} on {meta.host} (process {meta.pid}, epoch {meta.epoch}) for {ago}"
         yield f"  {figures.words}, {figures.left}"
         yield from (f"  {line}" for line in (self._runs, self._workers, self._recorder) if line)

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
 from qdgrasp_coordinator.figures import JobFigures
+from qdgrasp_protocol.printable import printable
 
 QUIET_INTERVAL = 5.0  # seconds between lines where nobody sees a moving one
 
@@ -53,7 +54,7 @@ class LiveBar:
             self._task,
             completed=figures.evaluations,
             total=figures.budget,
-            words=figures.words,
+            words=printable(figures.words),
             left=figures.left,
         )
 
@@ -75,7 +76,7 @@ class PlainLines:
         if time.monotonic() >= self._next or figures.obstacle != self._trouble:
             self._trouble = figures.obstacle
             self._next = time.monotonic() + QUIET_INTERVAL
-            self.say(f"{self._name}: {figures.words}, {figures.left}")
+            self.say(f"{self._name}: {printable(figures.words)}, {figures.left}")
 
     def say(self, sentence: str) -> None:
         """Print a line."""

@@ -12,6 +12,7 @@ import msgspec
 
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Message
+from qdgrasp_protocol.printable import printable
 
 if TYPE_CHECKING:  # a simulator reads scenes, and has no bus
     from qdgrasp_protocol.bus import Sample
@@ -72,7 +73,7 @@ def decode(payload: bytes, kind: type[M]) -> M:
     try:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
-        raise MessageError(f"not a {kind.__name__.lower()}: {_harmless(str(error))}") from None
+        raise MessageError(f"not a {kind.__name__.lower()}: {printable(str(error), MAX_REASON)}") from None
 
 
 def decoded(sample: "Sample", kind: type[M]) -> M:
@@ -84,7 +85,7 @@ def decoded(sample: "Sample", kind: type[M]) -> M:
         It is said to be of another encoding, which is not even looked at, or is no such message.
     """
     if sample.encoding != encoding(kind):
-        raise MessageError(f"expected {encoding(kind)}, got {_harmless(sample.encoding)}")
+        raise MessageError(f"expected {encoding(kind)}, got {printable(sample.encoding, MAX_REASON)}")
     return decode(sample.payload, kind)
 
 
@@ -119,8 +120,3 @@ class _Budget:
         if self._left < 0:
             raise ValueError("too many lists and maps")
         return container
-
-
-def _harmless(text: str) -> str:
-    """What may be printed of text that holds what others wrote."""
-    return ascii(text)[1:-1][:MAX_REASON]

@@ -11,6 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from qdgrasp_protocol.errors import InputError, QdgraspError
+from qdgrasp_protocol.printable import printable
 
 PATIENCE = 1.5  # seconds that a command outside of a `lifetime` may take to hear a signal
 
@@ -59,7 +60,12 @@ def _wait_for_a_note(end: int) -> None:
 
 def _said(name: str, sentence: str, code: int) -> int:
     try:
-        print(f"{name}: {sentence}", file=sys.stderr, flush=True)  # noqa: T201 - speaks without a logger
+        print(f"{name}: {_plain(sentence)}", file=sys.stderr, flush=True)  # noqa: T201 - speaks without a logger
     except OSError:
         sys.stderr = None  # a full disk: nothing may be left to flush at the exit
     return code
+
+
+def _plain(sentence: str) -> str:
+    """The lines of a sentence, in which there may be words of others."""
+    return "\n".join(map(printable, sentence.split("\n")))

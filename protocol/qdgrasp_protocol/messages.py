@@ -92,7 +92,7 @@ class Join(Message, frozen=True, kw_only=True):
     """How many batches may be outstanding; 0: nothing more is to come, as the worker is about to leave."""
     held: list[BatchId]
     """Batches still held from before."""
-    host: str
+    host: Annotated[str, Meta(pattern=r"\A[!-~]{1,255}\Z")]
     pid: Count
     platform: dict[str, str]
     """What decides the bits of a result: versions, evaluation code, digest of the probe set."""

@@ -28,6 +28,7 @@ from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Re
 from qdgrasp_protocol.handshake import NotListening, Unreachable, plain
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.printable import printable
 from qdgrasp_protocol.session import Mode, Settings, settings
 
 log = structlog.get_logger()
@@ -214,7 +215,7 @@ class ZenohBus(Bus):
                 return reply.ok.payload.to_bytes()
             for kind, encoding in TOLD.items():
                 if reply.err is not None and str(reply.err.encoding) == encoding:
-                    raise kind(_printable(reply.err.payload.to_bytes()))
+                    raise kind(_reason(reply.err.payload.to_bytes()))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
     def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
@@ -344,7 +345,6 @@ def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
             query.reply(concrete, value)
 
 
-def _printable(reason: bytes) -> str:
+def _reason(payload: bytes) -> str:
     """The reason of a refusal as it may be shown to a person."""
-    text = reason[:MAX_REASON].decode(errors="ignore")
-    return "".join(character if character.isprintable() else "?" for character in text)
+    return printable(payload[:MAX_REASON].decode(errors="ignore"))

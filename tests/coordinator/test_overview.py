@@ -8,7 +8,7 @@ from qdgrasp_coordinator.figures import Figures, JobFigures, JobMeta, WorkerFigu
 from qdgrasp_coordinator.overview import views
 from qdgrasp_protocol.keys import Keys
 
-NOON = "2026-11-21T12:00:00+00:00"
+NOON = datetime(2026, 11, 21, 12, tzinfo=UTC)
 NOW = datetime(2026, 11, 22, 13, 2, 3, tzinfo=UTC)
 
 
@@ -78,3 +78,11 @@ def test_jobs_are_told_by_name_and_values_of_others_are_left_out() -> None:
     shown = values("mugs") | values("cubes") | {"qdgrasp/v1/odd/meta": b"[]", "else/where": b"{}"}
     shown[Keys("mugs").stat("run/a")] = b"not JSON"
     assert [(view.meta.job, len(view.runs)) for view in views(shown)] == [("cubes", 2), ("mugs", 1)]
+
+
+@pytest.mark.parametrize("since", [b"yesterday", b"2026-11-21T12:00:00", b"9999-99-99T00:00:00Z"])
+def test_a_job_that_began_at_no_time_is_left_out(since: bytes) -> None:
+    shown, key = values("mugs"), Keys("mugs").meta
+    shown[key] = shown[key].replace(b"2026-11-21T12:00:00Z", since)
+    assert since in shown[key]
+    assert views(shown) == []

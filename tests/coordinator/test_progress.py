@@ -9,6 +9,7 @@ from rich.console import Console
 from qdgrasp_coordinator.figures import JobFigures
 from qdgrasp_coordinator.progress import Bar, LiveBar, PlainLines
 
+EVIL = "\x1b[2J"
 FIGURES = JobFigures(
     job="paper",
     runs=1545,
@@ -80,3 +81,11 @@ def test_a_job_whose_recorder_is_still_on_its_way_is_starting(capsys: pytest.Cap
     first, second = capsys.readouterr().err.splitlines()
     assert ", starting, " in first
     assert "paused: no recorder answers" in second
+
+
+def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = replace(FIGURES, trouble=EVIL)
+    PlainLines("paper").show(figures)
+    for said in (capsys.readouterr().err, "\n".join(seen(figures, 200))):
+        assert r"paused: \x1b[2J" in said
+        assert EVIL not in said

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from qdgrasp_protocol import codec, messages
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Joined, Message, Recordable, Recorded, Result, short
+from qdgrasp_protocol.messages import Failure, Join, Joined, Message, Recordable, Recorded, Result, short
 
 KINDS = [
     kind
@@ -217,3 +217,11 @@ def test_words_for_a_person_fit_into_a_message_in_any_language(text: str) -> Non
 def test_a_scene_that_unfolds_without_end_is_refused(payload: bytes) -> None:
     with pytest.raises(MessageError):
         codec.check_bundle(payload)
+
+
+@pytest.mark.parametrize("host", ["", "\x1b[2J", "two words", "line\n", 256 * "x"])
+def test_a_worker_names_its_host_in_one_plain_word(host: str) -> None:
+    join = {"versions": [1], "wid": 32 * "0", "number": 1, "credit": 1, "held": [], "pid": 1, "platform": {}}
+    assert codec.decode(msgpack.packb(join | {"host": "node-7.lab"}), Join).host == "node-7.lab"
+    with pytest.raises(MessageError, match="host"):
+        codec.decode(msgpack.packb(join | {"host": host}), Join)

@@ -12,6 +12,7 @@ from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Done, Order
+from qdgrasp_protocol.printable import printable
 
 Job = Annotated[str, typer.Argument(metavar="JOB", help="The job's name; `qdgrasp jobs` lists them.")]
 
@@ -79,7 +80,7 @@ def order(job: str, endpoint: str, security: Path | None, what: Order) -> None:
             raise InputError(f"Nothing was done: {refusal}.") from None
         except NoReply:
             raise _nobody(bus, job, endpoint) from None
-    typer.echo(codec.decode(answer, Done).words)
+    typer.echo(printable(codec.decode(answer, Done).words))
 
 
 def _nobody(bus: Bus, job: str, endpoint: str) -> InputError:

@@ -10,6 +10,7 @@ from qdgrasp_coordinator.cli.asking import place, session
 from qdgrasp_coordinator.overview import overview, utc_now
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.credentials import Role
+from qdgrasp_protocol.printable import printable
 
 
 def jobs(
@@ -28,4 +29,4 @@ def jobs(
         typer.echo(f"No job is at {endpoint}: the router answers, but no coordinator does.")
     for job in () if as_json else found:
         for line in job.lines(utc_now()):
-            typer.echo(line)
+            typer.echo(printable(line))
