@@ -9,6 +9,7 @@ import ipaddress
 import os
 import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from qdgrasp_coordinator.security import authority
@@ -93,12 +94,18 @@ class SecurityFolder:
         Raises
         ------
         SecurityError
-            There is such a folder already, or no authority here.
+            There is such a folder already, or no authority here that lasts as long.
         """
         check_hosts(hosts)
         if not NAME.fullmatch(name):
             raise ImpossibleValue("the name", name, "1 to 64 of the characters a-z, 0-9, '_' and '-'")
         root, place = self.authority, self.path / name
+        left = (root.certificate.not_valid_after_utc - datetime.now(UTC)).days
+        if days > left:
+            raise SecurityError(
+                f"A certificate cannot outlive its authority, which has {max(0, left)} days left, less than "
+                f"{days}; choose fewer with --days, or begin anew with `qdgrasp security init`."
+            )
         if place.exists():
             raise SecurityError(f"{place} is there already; choose another name.")
         _make(place)

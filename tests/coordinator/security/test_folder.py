@@ -133,3 +133,11 @@ def test_two_authorities_do_not_know_each_other() -> None:
     issued = authority.issue(theirs, Role.WORKER.common_name, 1)
     with pytest.raises(Exception):  # noqa: B017, PT011 - the signature is another's
         issued.certificate.verify_directly_issued_by(ours.certificate)
+
+
+def test_no_certificate_outlives_its_authority(tmp_path: Path) -> None:
+    folder = made(tmp_path)
+    with pytest.raises(SecurityError, match="which has 3649 days left, less than 3650; choose fewer"):
+        folder.add(Role.WORKER, "lab-7", hosts=HOSTS, days=3650)
+    assert not (folder.path / "lab-7").exists()
+    folder.add(Role.WORKER, "lab-7", hosts=HOSTS, days=3649)
