@@ -8,6 +8,10 @@ from pathlib import Path
 
 from qdgrasp_protocol import chunks
 from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.keys import DIGEST
+
+MOST = 2 << 30
+"""What the scenes on disk may take together [bytes]."""
 
 
 class Bundles:
@@ -44,6 +48,8 @@ class Bundles:
         with suppress(OSError):
             payload = (self._folder / digest).read_bytes()
             if hashlib.sha256(payload).hexdigest() == digest:
+                with suppress(OSError):  # a folder of others
+                    os.utime(self._folder / digest)
                 return payload
         return None
 
@@ -52,7 +58,28 @@ class Bundles:
             return
         with suppress(OSError):  # a cache that cannot be written is only slower
             self._folder.mkdir(parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(dir=self._folder)
-            with os.fdopen(handle, "wb") as file:
-                file.write(payload)
-            Path(name).replace(self._folder / digest)
+            _write(self._folder, digest, payload)
+            _make_room(self._folder)
+
+
+def _write(folder: Path, name: str, payload: bytes) -> None:
+    """Write a file whole or not at all."""
+    handle, draft = tempfile.mkstemp(dir=folder)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(payload)
+        Path(draft).replace(folder / name)
+    except OSError:
+        Path(draft).unlink(missing_ok=True)
+        raise
+
+
+def _make_room(folder: Path) -> None:
+    """Remove the scenes that were used the longest time ago, above what may be kept."""
+    scenes = [(path, path.stat()) for path in folder.iterdir() if DIGEST.fullmatch(path.name)]
+    scenes.sort(key=lambda scene: scene[1].st_mtime_ns, reverse=True)
+    size = 0
+    for path, status in scenes:
+        size += status.st_size
+        if size > MOST:
+            path.unlink(missing_ok=True)
