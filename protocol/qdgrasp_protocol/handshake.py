@@ -91,8 +91,8 @@ def why_not(endpoint: Endpoint, credentials: Credentials) -> str:
     return ""
 
 
-def greet(endpoint: Endpoint, context: "ssl.SSLContext") -> None:
-    """Shake hands with a router, and leave.
+def greet(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
+    """Shake hands with a router, and leave; whether it would have kept the link.
 
     Raises
     ------
@@ -107,7 +107,8 @@ def greet(endpoint: Endpoint, context: "ssl.SSLContext") -> None:
     ):
         link.settimeout(HESITATION)
         with suppress(TimeoutError):
-            link.recv(1)  # a router that does not take our certificate says so only now
+            return bool(link.recv(1))  # a router that does not take our certificate says so only now
+        return True
 
 
 def _reason(error: OSError) -> str:

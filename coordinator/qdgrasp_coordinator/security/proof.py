@@ -8,6 +8,7 @@ from qdgrasp_coordinator.security.stage import ACTORS, WIDE, stage
 from qdgrasp_coordinator.security.strangers import Knock, knocks
 from qdgrasp_coordinator.security.trials import TRIALS
 from qdgrasp_coordinator.security.verdicts import Cell
+from qdgrasp_protocol.endpoint import Endpoint
 
 PATIENCE = 10.0  # seconds that opening a session may take
 
@@ -71,10 +72,12 @@ def prove(endpoint: str, folder: Path, *, takers_at: str | None = None) -> Proof
     Raises
     ------
     EndpointError
-        The router does not answer, or takes none of the roles.
+        The router does not answer, or takes none of the roles; or several were named.
     SecurityError
         The folder lacks a file.
     """
+    for place in filter(None, (endpoint, takers_at)):
+        Endpoint.parse(place)
     with stage(endpoint, folder, PATIENCE, takers_at) as actors:
         seen = set().union(*(trial(actors) for trial in TRIALS.values()))
     return Proof(verdicts.cells(seen), verdicts.wide(seen), knocks(endpoint, folder))

@@ -37,24 +37,35 @@ class Knock:
 
 
 def knocks(endpoint: str, folder: Path) -> list[Knock]:
-    """Knock as every kind of stranger."""
+    """Knock as every kind of stranger, and as one who is welcome.
+
+    Raises
+    ------
+    EndpointError
+        The one who is welcome does not get in either: the router is away, or slower than we wait.
+    """
     ours, theirs, now = SecurityFolder(folder).authority, authority.found(1), datetime.now(UTC)
-    return [
+    tried = [
         Knock("no certificate", _greets(endpoint, folder)),
         Knock("a worker's certificate of another authority", _opens(endpoint, theirs, ours, now)),
         Knock("a worker's certificate that has expired", _opens(endpoint, ours, ours, now - LONG_AGO)),
         Knock("a link without encryption", _connects(f"tcp/{endpoint.partition('/')[2]}", None)),
     ]
+    if not _opens(endpoint, ours, ours, now):
+        raise EndpointError(
+            f"It cannot be said whether strangers get in at {endpoint}: a good certificate does not within "
+            f"{PATIENCE:g} s either. Try again when the router is there and less busy."
+        )
+    return tried
 
 
 def _greets(endpoint: str, folder: Path) -> bool:
     """Whether a router takes somebody who shows nothing."""
     known = Credentials(folder, Role.WORKER)
     try:
-        greet(Endpoint.parse(endpoint), ssl.create_default_context(cafile=str(known.authority)))
-    except ssl.SSLError:
+        return greet(Endpoint.parse(endpoint), ssl.create_default_context(cafile=str(known.authority)))
+    except OSError:  # of TLS, or of a link that was ended without a word
         return False
-    return True
 
 
 def _opens(endpoint: str, signer: Identity, trusted: Identity, issued: datetime) -> bool:
