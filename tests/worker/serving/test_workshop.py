@@ -14,9 +14,10 @@ from tests.worker.serving.batches import work
 
 from qdgrasp_protocol.messages import Result, Work
 from qdgrasp_worker.serving.frames import Settings
-from qdgrasp_worker.serving.simulator import News, Simulator
+from qdgrasp_worker.serving.limits import STALL
+from qdgrasp_worker.serving.simulator import Ended, News, Simulator
 from qdgrasp_worker.serving.task import Task
-from qdgrasp_worker.serving.workshop import NoSimulator, Workshop
+from qdgrasp_worker.serving.workshop import NoSimulator, Outcome, Workshop
 
 PATIENCE = 200.0
 ROW_SECONDS = 0.4
@@ -90,12 +91,33 @@ def test_a_batch_comes_back_with_the_rows_in_order(hands):
     assert len(hands.hired) == 1
 
 
+def test_a_simulator_that_the_clock_ended_twice_is_no_evidence_against_its_row(hands):
+    while not hands.workshop.has_room:
+        hands.hear()
+    hands.put(Task("job", work()))
+    for _ in range(2):
+        stopped = hands.hired[-1]
+        assert hands.workshop.hear(Ended(stopped, -signal.SIGALRM), monotonic()) == Outcome()
+        stopped.close()
+        while not hands.workshop.tasks or hands.hired[-1] is stopped or hands.workshop.next_again:
+            hands.hear()
+    while not hands.done:
+        hands.hear()
+    assert hands.done[0].failures == []
+
+
+def test_a_row_at_which_simulators_stall_again_and_again_is_found(hands):
+    result = hands.evaluate(work(n=3, row_1=stand_in.SLEEP))
+    reason = f"the simulator took more than {STALL * ROW_SECONDS:g} s on the clock"
+    assert [(failure.row, failure.reason) for failure in result.failures] == [(1, reason)]
+    assert fitness(result) == [0, 0, 2]
+
+
 @pytest.mark.parametrize(
     ("deed", "reason"),
     [
         (stand_in.ABORT, "the simulator was ended by SIGABRT"),
         (stand_in.HANG, f"the simulator took more than {ROW_SECONDS} CPU seconds"),
-        (stand_in.SLEEP, f"the simulator took more than {ROW_SECONDS} CPU seconds"),
         (stand_in.RAISE, "ValueError: as the genome wants it"),
         (stand_in.EXIT, "the simulator ended with exit code 3"),
         (stand_in.TAKE_EVERYTHING, "MemoryError: "),

@@ -82,9 +82,13 @@ class Docket:
         task.stumble(reason)
         if task.is_done:
             self._there.popleft()
+        self.again()
+        return task if task.is_done else None
+
+    def again(self) -> None:
+        """Have all batches that are there go to the next simulator."""
         self._again.extendleft(reversed(self._there))
         self._there.clear()
-        return task if task.is_done else None
 
     def lose(self) -> list[Task]:
         """Hear that the simulator was killed from outside; gives the batches that were there."""

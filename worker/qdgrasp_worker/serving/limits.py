@@ -12,8 +12,8 @@ from pathlib import Path
 
 STALL = 10
 """So many times its limit of CPU seconds something may take on the clock, on a machine that others use."""
-TIME_OVER = (signal.SIGPROF, signal.SIGALRM)
-"""What ends a simulator that passed its limit: on the CPU, on the clock."""
+TIME_OVER, CLOCK_OVER = signal.SIGPROF, signal.SIGALRM
+"""What ends one that passed its limit: on the CPU, or on the clock, which runs also while it is stopped."""
 AUTOGROUP = Path("/proc/self/autogroup")
 WISHES, WISH_INTERVAL = 100, 0.13  # how often a wish is repeated, and after how many seconds
 _PR_SET_PDEATHSIG = 1

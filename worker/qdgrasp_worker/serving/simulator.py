@@ -12,7 +12,7 @@ from typing import Self
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_worker.serving import frames
 from qdgrasp_worker.serving.frames import Frame, Said
-from qdgrasp_worker.serving.limits import TIME_OVER
+from qdgrasp_worker.serving.limits import CLOCK_OVER, STALL, TIME_OVER
 from qdgrasp_worker.serving.line import Line
 from qdgrasp_worker.serving.vitals import Vitals, vitals
 
@@ -113,8 +113,10 @@ def evidence(code: int, row_seconds: float) -> str | None:
     """Why a simulator ended, where that speaks against what it was at; None: it was killed from outside."""
     if code > 0:
         return f"the simulator ended with exit code {code}"
-    if -code in TIME_OVER:
+    if -code == TIME_OVER:
         return f"the simulator took more than {row_seconds:g} CPU seconds"
+    if -code == CLOCK_OVER:
+        return f"the simulator took more than {STALL * row_seconds:g} s on the clock"
     if code == 0 or -code in KILLED_FROM_OUTSIDE:
         return None
     return f"the simulator was ended by {signal.Signals(-code).name}"

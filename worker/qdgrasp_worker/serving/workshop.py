@@ -12,6 +12,7 @@ import structlog
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_worker.serving.docket import Docket
 from qdgrasp_worker.serving.frames import Broken, Lacking, Part, Ready, Said, Settings
+from qdgrasp_worker.serving.limits import CLOCK_OVER
 from qdgrasp_worker.serving.simulator import Ended, Heard, News, Simulator, evidence
 from qdgrasp_worker.serving.task import Task
 
@@ -182,6 +183,9 @@ class Workshop:
         self._close(now if is_of_a_row else now + next(self._pauses))
         if reason is None:
             return Outcome(lost=self._docket.lose())
+        if -news.code == CLOCK_OVER and self.head is not None and not self.head.stall():
+            self._docket.again()
+            return Outcome()
         if self.head is not None and self.head.is_loading:
             self._fatal[self.head.work.scene] += 1
         done = self._docket.stumble(reason)
