@@ -17,7 +17,7 @@ from qdgrasp_worker.serving.frames import Settings
 from qdgrasp_worker.serving.limits import STALL
 from qdgrasp_worker.serving.simulator import Ended, News, Simulator
 from qdgrasp_worker.serving.task import Task
-from qdgrasp_worker.serving.workshop import NoSimulator, Outcome, Workshop
+from qdgrasp_worker.serving.workshop import NoSimulator, Upshot, Workshop
 
 PATIENCE = 200.0
 ROW_SECONDS = 0.4
@@ -45,9 +45,9 @@ class Hands:
         """Take the next news, and have begun batches go on."""
         patience = min(PATIENCE, max(0.0, self.workshop.opens_at - monotonic()))
         if patience == PATIENCE:
-            outcome = self.workshop.hear(self.inbox.get(timeout=PATIENCE), monotonic())
-            self.done += [task.result("a" * 32) for task in outcome.done]
-            self.lost += outcome.lost
+            upshot = self.workshop.hear(self.inbox.get(timeout=PATIENCE), monotonic())
+            self.done += [task.result("a" * 32) for task in upshot.done]
+            self.lost += upshot.lost
         else:
             self.workshop.tick(self.workshop.opens_at)
         while self.workshop.has_room and (task := self.workshop.next_again):
@@ -97,7 +97,7 @@ def test_a_simulator_that_the_clock_ended_twice_is_no_evidence_against_its_row(h
     hands.put(Task("job", work()))
     for _ in range(2):
         stopped = hands.hired[-1]
-        assert hands.workshop.hear(Ended(stopped, -signal.SIGALRM), monotonic()) == Outcome()
+        assert hands.workshop.hear(Ended(stopped, -signal.SIGALRM), monotonic()) == Upshot()
         stopped.close()
         while not hands.workshop.tasks or hands.hired[-1] is stopped or hands.workshop.next_again:
             hands.hear()

@@ -12,7 +12,7 @@ from qdgrasp_worker.serving.leave import Leave
 from qdgrasp_worker.serving.memberships import jitter
 from qdgrasp_worker.serving.scenes import Scenes
 from qdgrasp_worker.serving.task import Task
-from qdgrasp_worker.serving.workshop import Outcome, Workshop
+from qdgrasp_worker.serving.workshop import Upshot, Workshop
 
 log = structlog.get_logger()
 
@@ -65,13 +65,13 @@ class Belt:
                 known = self._workshop.has_scene(scene)
                 self._workshop.put(task, None if known else self._scenes.take(scene), now)
 
-    def settle(self, outcome: Outcome, now: float) -> None:
+    def settle(self, upshot: Upshot, now: float) -> None:
         """Send the results of what is done, and hand back what is lost."""
-        for task in outcome.done:
+        for task in upshot.done:
             if self._is_wanted(task):
                 self._send(task)
             self._release(task)
-        for task in outcome.lost:
+        for task in upshot.lost:
             self._hand_back(task, now)
 
     def scene_came(self, fetched: Fetched, now: float) -> None:
@@ -127,7 +127,7 @@ class Belt:
 
     def _fail(self, task: Task, reason: str, now: float) -> None:
         task.fail(reason)
-        self.settle(Outcome(done=[task]), now)
+        self.settle(Upshot(done=[task]), now)
 
     def _hand_back(self, task: Task, now: float) -> None:
         """Let a batch go; the next join, which does not list it, has it evaluated elsewhere."""

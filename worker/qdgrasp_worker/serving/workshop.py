@@ -44,7 +44,7 @@ class OtherPlatform(QdgraspError):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Upshot:
     """What came of news from the simulator."""
 
     done: list[Task] = field(default_factory=list)
@@ -139,7 +139,7 @@ class Workshop:
 
     # News of the simulator.
 
-    def hear(self, news: News, now: float) -> Outcome:
+    def hear(self, news: News, now: float) -> Upshot:
         """Take what the simulator says, or that it ended; what came late from an older one is passed over.
 
         Raises
@@ -150,12 +150,12 @@ class Workshop:
             This one is of another platform than the one before.
         """
         if news.simulator is not self._simulator or self.opens_at < inf:
-            return Outcome()
+            return Upshot()
         if isinstance(news, Heard):
             return self._said(news.frame, now)
         return self._ended(news, now)
 
-    def _said(self, frame: Said, now: float) -> Outcome:
+    def _said(self, frame: Said, now: float) -> Upshot:
         match frame:
             case Ready(platform=platform):
                 self._welcome(platform)
@@ -166,7 +166,7 @@ class Workshop:
             case Part():
                 self._pauses = pauses()
         done = self._docket.hear(frame, now)
-        return Outcome(done=[done] if done else [])
+        return Upshot(done=[done] if done else [])
 
     def _welcome(self, platform: dict[str, str]) -> None:
         if self.platform is not None and platform != self.platform:
@@ -174,7 +174,7 @@ class Workshop:
         self.platform = platform
         self.is_ready = True
 
-    def _ended(self, news: Ended, now: float) -> Outcome:
+    def _ended(self, news: Ended, now: float) -> Upshot:
         reason = self._last_words or evidence(news.code, self._row_seconds)
         if self.platform is None and reason:
             raise NoSimulator(reason)
@@ -182,14 +182,14 @@ class Workshop:
         is_of_a_row = reason is not None and self.is_ready
         self._close(now if is_of_a_row else now + next(self._pauses))
         if reason is None:
-            return Outcome(lost=self._docket.lose())
+            return Upshot(lost=self._docket.lose())
         if -news.code == CLOCK_OVER and self.head is not None and not self.head.stall():
             self._docket.again()
-            return Outcome()
+            return Upshot()
         if self.head is not None and self.head.is_loading:
             self._fatal[self.head.work.scene] += 1
         done = self._docket.stumble(reason)
-        return Outcome(done=[done] if done else [])
+        return Upshot(done=[done] if done else [])
 
     # Time passes.
 
