@@ -23,7 +23,7 @@ class Role(StrEnum):
     MONITOR = "monitor"
     """Watches, and says nothing."""
     ADMIN = "admin"
-    """Watches, reads records, and tells a job to pause, go on or end."""
+    """Asks how jobs are, hears their figures, and tells a job to pause, go on or end."""
 
     @property
     def common_name(self) -> str:

@@ -126,3 +126,13 @@ def test_zenoh_reads_the_deployed_configurations_as_they_are_meant(role: Role) -
             rule["id"] for rule in written["access_control"]["rules"]
         ]
         assert len(json.loads(config.get_json("low_pass_filter"))) == len(written["low_pass_filter"])
+
+
+def test_who_administers_sees_neither_signs_of_life_nor_records() -> None:
+    """It asks how jobs are and tells them what to do; monitors watch."""
+    denied = ("/live/", "/rec/")
+    assert not [
+        key for rule in rules("admin") for key in rule["key_exprs"] if any(map(key.__contains__, denied))
+    ]
+    assert [key for rule in rules("monitor") for key in rule["key_exprs"] if "/live/" in key]
+    assert not [key for rule in rules("recorder") for key in rule["key_exprs"] if "/live/coord" in key]
