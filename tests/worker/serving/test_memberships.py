@@ -10,9 +10,9 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.local_bus import LocalNetwork
 from qdgrasp_protocol.messages import Control, Join, Joined
 from qdgrasp_worker.serving.appointment import LAST, Appointment
-from qdgrasp_worker.serving.appointments import Appointments
 from qdgrasp_worker.serving.errands import Answered
 from qdgrasp_worker.serving.memberships import Memberships
+from qdgrasp_worker.serving.rota import Rota
 
 WID = "a" * 32
 
@@ -33,7 +33,7 @@ class Life:
     def __init__(self) -> None:
         network = LocalNetwork()
         self.questions = Questions()
-        self.jobs = Appointments()
+        self.jobs = Rota()
         self.tokens: set[str] = set()
         self.bus = network.session()
         network.session().watch("qdgrasp/v1/*/live/worker/*", self._see)

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import structlog
 
 from qdgrasp_protocol.chunks import TooLarge
-from qdgrasp_worker.serving.appointments import Appointments
 from qdgrasp_worker.serving.desk import Desk
 from qdgrasp_worker.serving.errands import Fetched
 from qdgrasp_worker.serving.leave import Leave
 from qdgrasp_worker.serving.memberships import jitter
+from qdgrasp_worker.serving.rota import Rota
 from qdgrasp_worker.serving.scenes import Scenes
 from qdgrasp_worker.serving.task import Task
 from qdgrasp_worker.serving.workshop import Upshot, Workshop
@@ -36,7 +36,7 @@ class Belt:
 
     def __init__(
         self,
-        jobs: Appointments,
+        jobs: Rota,
         workshop: Workshop,
         scenes: Scenes,
         leave: Leave,

@@ -13,9 +13,9 @@ from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, job_of, last_chunk, number
 from qdgrasp_protocol.messages import VERSION, Join, Joined
 from qdgrasp_worker.serving.appointment import Appointment
-from qdgrasp_worker.serving.appointments import Appointments
 from qdgrasp_worker.serving.desk import Desk
 from qdgrasp_worker.serving.errands import Answered, Errands
+from qdgrasp_worker.serving.rota import Rota
 
 log = structlog.get_logger()
 
@@ -43,7 +43,7 @@ class Memberships:
         The only job to serve; None: every job there is.
     """
 
-    def __init__(self, bus: Bus, errands: Errands, jobs: Appointments, wid: str, only: str | None) -> None:
+    def __init__(self, bus: Bus, errands: Errands, jobs: Rota, wid: str, only: str | None) -> None:
         self._bus = bus
         self._errands = errands
         self._jobs = jobs

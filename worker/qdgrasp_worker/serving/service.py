@@ -23,13 +23,13 @@ from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import Control, Work
-from qdgrasp_worker.serving.appointments import Appointments
 from qdgrasp_worker.serving.belt import Belt
 from qdgrasp_worker.serving.bundles import Bundles
 from qdgrasp_worker.serving.errands import Answered, Errands, Fetched
 from qdgrasp_worker.serving.events import Asked, CoordinatorSeen, Event, Inbox, LinkChanged
 from qdgrasp_worker.serving.leave import Leave
 from qdgrasp_worker.serving.memberships import Memberships
+from qdgrasp_worker.serving.rota import Rota
 from qdgrasp_worker.serving.scenes import Scenes
 from qdgrasp_worker.serving.simulator import Ended, Heard
 from qdgrasp_worker.serving.task import Task
@@ -76,7 +76,7 @@ class WorkerService:
         self._workshop = workshop
         self._inbox = inbox
         errands = Errands(bus, bundles, inbox.put)
-        self._jobs = Appointments()
+        self._jobs = Rota()
         self._memberships = Memberships(bus, errands, self._jobs, self.wid, job)
         self._keys = Keys(job) if job else AnyJob()
         self._leave = Leave(grace)

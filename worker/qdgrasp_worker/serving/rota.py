@@ -1,4 +1,4 @@
-"""The jobs at a worker: how its credit is split among them, and whose turn it is. Pure."""
+"""The rota: the jobs at a worker, how its credit is split among them, and whose turn it is. Pure."""
 
 from collections.abc import Callable, Iterator
 from math import inf
@@ -10,7 +10,7 @@ CREDIT = 2
 """Batches outstanding at a worker, split among its jobs: one in work, one waiting. Each has one at least."""
 
 
-class Appointments:
+class Rota:
     """The appointments of a worker, by job."""
 
     def __init__(self) -> None:
