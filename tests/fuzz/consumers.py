@@ -1,6 +1,7 @@
 """What each process does with the bytes that reach it, as far as these decide; and messages to begin with."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
@@ -68,6 +69,7 @@ KINDS = [
     for kind in vars(messages).values()
     if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
 ]
+GIVEN = {msgspec.inspect.StrType: "x", msgspec.inspect.DateTimeType: datetime(2026, 1, 1, tzinfo=UTC)}
 SHOWN = (Figures, JobFigures, WorkerFigures, JobMeta)
 CONSUMERS: dict[str, Consumer] = {
     **{kind.__name__.lower(): OWN.get(kind, plain(kind)) for kind in KINDS},
@@ -102,7 +104,7 @@ def seeds() -> dict[str, bytes]:
 def _shown(kind: Any) -> Any:
     """Figures whose numbers are 1 and whose words are x."""
     fields = msgspec.inspect.type_info(kind).fields
-    return kind(**{f.name: "x" if isinstance(f.type, msgspec.inspect.StrType) else 1 for f in fields})
+    return kind(**{field.name: GIVEN.get(type(field.type), 1) for field in fields})
 
 
 def _made(kind: type[Message], given: dict[str, Any]) -> Message:
