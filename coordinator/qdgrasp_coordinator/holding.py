@@ -6,7 +6,7 @@ from pathlib import Path
 from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.job_folder import RUN, JobFolder
-from qdgrasp_protocol.errors import FolderError, Refused
+from qdgrasp_protocol.errors import FolderError, Refused, TookOver
 from qdgrasp_protocol.messages import Open
 from qdgrasp_protocol.spec import RunSpec
 
@@ -43,7 +43,7 @@ class Holding:
         if asked.job != self._job:
             raise Refused(f"this recorder keeps the runs of job '{self._job}', not of '{asked.job}'")
         if 0 < asked.epoch < self.epoch:
-            raise Refused(f"epoch {asked.epoch} is over: another coordinator took over with {self.epoch}")
+            raise TookOver.refusal(asked.epoch, self.epoch)
         if not runs or len(set(runs)) < len(runs):
             raise Refused(f"expected different runs to open, got {runs}")
         if RUN in runs and len(runs) > 1:

@@ -10,7 +10,7 @@ from qdgrasp_coordinator.outbox import Outbox
 from qdgrasp_coordinator.stretch import Stretch, from_message, to_message
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.errors import EndedEarly, Faulty, InputError, NoReply, RecorderFellBack, Refused
+from qdgrasp_protocol.errors import Faulty, InputError, NoReply, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import (
     Log,
@@ -109,12 +109,15 @@ class RecorderLink(Record):
         ------
         InputError
             The recorder holds another run, and says so.
+        TookOver
+            It answers another coordinator by now.
         """
         try:
             request = Open(job=self._job, runs=[run], epoch=epoch)
             opened = codec.decode(self._ask(self._keys.open, request, wait), Opened)
         except (Refused, Faulty) as refusal:
-            raise InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
+            over = TookOver.told_by(refusal, self._job)
+            raise over or InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
         self._run, self._epoch = run.run, opened.epoch
         self._outbox = Outbox(opened.durable[0])
         self._platform = opened.platform
@@ -164,7 +167,7 @@ class RecorderLink(Record):
     def heard(self, message: Recorded, now: float) -> None:
         """Take note of what is durable."""
         if message.epoch > self._epoch > 0:
-            raise EndedEarly(f"Another coordinator of job '{self._job}' took over (epoch {message.epoch}).")
+            raise TookOver(self._job, message.epoch)
         if message.run != self._run or message.epoch != self._epoch:
             return
         self.trouble = message.trouble

@@ -94,8 +94,10 @@ class CoordinatorService:
 
         Raises
         ------
+        TookOver
+            Another coordinator goes on with the job.
         EndedEarly
-            Another coordinator took over, or the job was cancelled.
+            The job was cancelled.
         RunsFailed
             Runs could not be carried out: a scene that cannot be built, a recorder that holds another run, a
             journal that is not what its spec replays to. The others are.

@@ -22,7 +22,7 @@ from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.codec import decoded
 from qdgrasp_protocol.drops import Drops
-from qdgrasp_protocol.errors import EndedEarly, MessageError, Refused
+from qdgrasp_protocol.errors import MessageError, Refused, TookOver
 from qdgrasp_protocol.keys import Keys, last_chunk, number
 from qdgrasp_protocol.messages import VERSION, Control, Join, Joined, Message, Opened, Recorded, Result
 
@@ -95,7 +95,7 @@ class Turn:
 
         Raises
         ------
-        EndedEarly
+        TookOver
             Another coordinator took over.
         """
         match event:
@@ -133,7 +133,7 @@ class Turn:
             for lane in self._lanes if alive else ():
                 lane.record.recorder_up(now)
         elif alive and (number(who) or 0) > self.epoch:
-            raise EndedEarly(f"Another coordinator of job '{self._job}' took over (epoch {who}).")
+            raise TookOver(self._job, who)
 
     def _admit(self, join: Join, answer: "Future[bytes]", now: float) -> None:
         """Answer a worker that asks to join."""

@@ -22,8 +22,11 @@
     * MessageError           a message that is not of the protocol; counted and dropped
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
+        * Cancelled              somebody asked for it
+        * TookOver               another coordinator goes on with it: exit code 3
 """
 
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
@@ -222,3 +225,44 @@ class RecorderFellBack(QdgraspError):
 
 class EndedEarly(QdgraspError):
     """The job stopped before its budget; `qdgrasp resume` goes on."""
+
+
+class Cancelled(EndedEarly):
+    """Somebody cancelled the job.
+
+    Parameters
+    ----------
+    job
+        Its name.
+    """
+
+    def __init__(self, job: str) -> None:
+        super().__init__(f"Job '{job}' was cancelled.")
+
+
+class TookOver(EndedEarly):
+    """Another coordinator goes on with the job; this one ends, and is not to be started again.
+
+    Parameters
+    ----------
+    job
+        Its name.
+    epoch
+        The other's.
+    """
+
+    exit_code = 3
+
+    def __init__(self, job: str, epoch: object) -> None:
+        super().__init__(f"Another coordinator of job '{job}' took over (epoch {epoch}).")
+
+    @staticmethod
+    def refusal(own: int, other: int) -> Refused:
+        """What a recorder answers a coordinator of an epoch that is over."""
+        return Refused(f"epoch {own} is over: another coordinator took over with {other}")
+
+    @classmethod
+    def told_by(cls, refusal: Exception, job: str) -> "TookOver | None":
+        """What a recorder's refusal means where it is such an answer; None where it is another one."""
+        found = re.search(r"another coordinator took over with (\d+)", str(refusal))
+        return cls(job, found[1]) if found else None

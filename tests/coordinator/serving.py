@@ -20,7 +20,7 @@ from qdgrasp_coordinator.record import Memory, Record, RecorderLink
 from qdgrasp_coordinator.service import CoordinatorService
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Sample
-from qdgrasp_protocol.errors import DiskFull, QdgraspError, RunFailed
+from qdgrasp_protocol.errors import DiskFull, QdgraspError, RunFailed, TookOver
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.local_bus import LocalNetwork
@@ -152,6 +152,13 @@ class Elsewhere(Memory):
 
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         return Opened(epoch=1, durable=[0], platform={"pybullet": "2.0"})
+
+
+class Replaced(Memory):
+    """The record of a run that another coordinator has opened."""
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        raise TookOver(JOB, epoch + 1)
 
 
 class Slow(Memory):

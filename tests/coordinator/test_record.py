@@ -5,7 +5,7 @@ from tests.coordinator.plans import SHAPE
 
 from qdgrasp_coordinator.record import RecorderLink
 from qdgrasp_protocol.bus import Query
-from qdgrasp_protocol.errors import InputError, NoReply, Refused
+from qdgrasp_protocol.errors import InputError, NoReply, Refused, TookOver
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
 from qdgrasp_protocol.messages import OpenRun
@@ -28,6 +28,19 @@ def test_a_recorder_that_refuses_is_quoted() -> None:
         link.open(RUN, 0, wait)
     with network.session().answer(keys.log, refuse), pytest.raises(InputError, match="rows 7 to 9"):
         link.recorded(0, wait)
+
+
+def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:
+    def replaced(_query: Query) -> bytes:
+        raise TookOver.refusal(1, 2)
+
+    network = LocalNetwork()
+    link = RecorderLink(network.session(), "many", SHAPE)
+    with (
+        network.session().answer(Keys("many").open, replaced),
+        pytest.raises(TookOver, match=r"^Another coordinator of job 'many' took over \(epoch 2\)\.$"),
+    ):
+        link.open(RUN, 1, wait)
 
 
 class Deaf(LocalBus):

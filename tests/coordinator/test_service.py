@@ -6,11 +6,11 @@ import threading
 import numpy as np
 import pytest
 from tests.coordinator.plans import Plan, reference
-from tests.coordinator.serving import JOB, PLANS, SOON, Elsewhere, Job, Pretender, Slow
+from tests.coordinator.serving import JOB, PLANS, SOON, Elsewhere, Job, Pretender, Replaced, Slow
 
 from qdgrasp_coordinator.figures import JobFigures, from_json
 from qdgrasp_protocol import chunks
-from qdgrasp_protocol.errors import InputError, Refused, RunsFailed
+from qdgrasp_protocol.errors import InputError, Refused, RunsFailed, TookOver
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.outcome import Outcome
 
@@ -27,6 +27,11 @@ def test_a_run_that_cannot_be_made_is_told_of_when_the_others_are_done() -> None
     with pytest.raises(RunsFailed, match=r"1 of 7 runs .* 'bad': Its mesh is no mesh\."):
         job.carry_out()
     assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
+
+
+def test_a_coordinator_that_another_one_replaced_ends_and_no_run_fails_for_it() -> None:
+    with pytest.raises(TookOver):
+        Job(dict(PLANS), **{"run-2": Replaced}).carry_out()
 
 
 def test_of_many_runs_that_cannot_be_made_some_are_named() -> None:

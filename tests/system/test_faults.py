@@ -166,7 +166,7 @@ def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgr
         wait_for(lambda: JobFolder(qdgrasp.home / "run").epoch == 2, "another turn")
         os.kill(old.pid, signal.SIGCONT)
         assert "Another coordinator of job 'mugs' took over (epoch 2)" in old.communicate(timeout=60)[1]
-        assert old.returncode == 1
+        assert old.returncode == 3
         _, err = new.communicate(timeout=120)
         assert new.returncode == 0, err
         qdgrasp.end_all()
