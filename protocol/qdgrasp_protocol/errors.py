@@ -22,7 +22,6 @@
     * MessageError           a message that is not of the protocol; counted and dropped
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
-        * Cancelled              somebody asked for it
         * TookOver               another coordinator goes on with it: exit code 3
 """
 
@@ -225,19 +224,6 @@ class RecorderFellBack(QdgraspError):
 
 class EndedEarly(QdgraspError):
     """The job stopped before its budget; `qdgrasp resume` goes on."""
-
-
-class Cancelled(EndedEarly):
-    """Somebody cancelled the job.
-
-    Parameters
-    ----------
-    job
-        Its name.
-    """
-
-    def __init__(self, job: str) -> None:
-        super().__init__(f"Job '{job}' was cancelled.")
 
 
 class TookOver(EndedEarly):
