@@ -15,6 +15,7 @@ from tests.system.commands import wait_for
 
 from qdgrasp_coordinator.folder import RunFolder
 from qdgrasp_coordinator.journal_format import FILE
+from qdgrasp_protocol.errors import TookOver
 
 COURSE = Course("contact_rand", "paper", 60, 0.05)
 SPEC = COURSE.spec(seed=1, evaluations=300)
@@ -105,7 +106,7 @@ def test_a_coordinator_that_stood_still_gives_way_to_its_successor(
     wait_for(lambda: "worker joined" in second.words, "workers at the second coordinator")
     first.send(signal.SIGCONT)
     wait_for(lambda: first.exit_code is not None, "the end of the first coordinator")
-    assert first.exit_code == 1, first.words
+    assert first.exit_code == TookOver.exit_code, first.words
     assert "took over (epoch 2)" in first.last_words
     assert ends_well(household, "coordinator-2") == expected
     assert RunFolder.open(household.run).job.epoch == 2
