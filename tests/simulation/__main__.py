@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.simulation.invariants import INVARIANTS
 from tests.simulation.play import Verdict, play
-from tests.simulation.watch import INVARIANTS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

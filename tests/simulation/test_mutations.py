@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
+from tests.simulation.invariants import INVARIANTS
 from tests.simulation.mutations import MUTATIONS, Mutation, noticed
-from tests.simulation.watch import INVARIANTS
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.name)
