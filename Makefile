@@ -23,7 +23,7 @@ help:
 	@echo "make clean   remove the environment and the caches of the tools"
 
 demo: $(VENV)/.installed
-	@$(BIN)/python -m qdgrasp_coordinator.demo
+	@$(BIN)/python -m qdgrasp_coordinator.cli.demo
 
 test: $(VENV)/.ready
 	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow" --ignore=tests/benchmarks

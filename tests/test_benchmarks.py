@@ -10,7 +10,7 @@ from tests.benchmarks.measure import Figure, Meter, Subject, in_turns, number, s
 from tests.benchmarks.stages import ORDER, REST, STAGES, STEPS, Profile
 
 from qdgrasp_assets.catalog import gripper_names, object_names
-from qdgrasp_coordinator.search import METHODS as KNOWN
+from qdgrasp_coordinator.searches.search import METHODS as KNOWN
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.platform import probe_scene, probes
 

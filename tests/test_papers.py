@@ -8,7 +8,7 @@ import pytest
 import typer
 
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.searches.search import METHODS
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import COLUMNS
 

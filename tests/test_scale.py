@@ -8,11 +8,11 @@ from tests.benchmarks.scale.prepared import SHAPE, VARIETY, Answers, rows
 from tests.benchmarks.scale.rig import JOB, Watch, assignment, coordinate, resident, router
 from tests.benchmarks.scale.searching import Watched
 from tests.benchmarks.scale.stand_ins import Crowd, crowds
-from tests.coordinator.spaces import plain
+from tests.coordinator.searches.spaces import plain
 
-from qdgrasp_coordinator.batch import readable
 from qdgrasp_coordinator.bench.course import Unkept
-from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.dispatching.batch import readable
+from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.outcome import Outcome

@@ -17,12 +17,12 @@ from tests.benchmarks import alone
 from tests.benchmarks.measure import machine
 
 from qdgrasp_assets.rotation import Floats
-from qdgrasp_coordinator.draws import draws
-from qdgrasp_coordinator.preparation import full_spec
+from qdgrasp_coordinator.runs.preparation import full_spec
 from qdgrasp_coordinator.searches.aimed import Aimed
 from qdgrasp_coordinator.searches.aims import Aims
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_coordinator.searches.frontier import NEIGHBOURS, Places
-from qdgrasp_coordinator.space import Space
+from qdgrasp_coordinator.searches.space import Space
 from qdgrasp_protocol.spec import RunSpec
 
 LOOSE = 0.5

@@ -19,11 +19,11 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.history import Finds
 from qdgrasp_coordinator.analysis.target import Targets
-from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.preparation import full_spec, scene_shape
-from qdgrasp_coordinator.search import Build, Search, method
-from qdgrasp_coordinator.space import space
-from qdgrasp_coordinator.tally import counted
+from qdgrasp_coordinator.counts.tally import counted
+from qdgrasp_coordinator.runs.pipeline import Pipeline
+from qdgrasp_coordinator.runs.preparation import full_spec, scene_shape
+from qdgrasp_coordinator.searches.search import Build, Search, method
+from qdgrasp_coordinator.searches.space import space
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows

@@ -3,13 +3,13 @@
 import numpy as np
 from tests.benchmarks.ledger import Ledger
 from tests.benchmarks.measure import Figure, Meter, Subject, in_turns
-from tests.coordinator import make_believe
-from tests.coordinator.spaces import plain
+from tests.coordinator.searches import make_believe
+from tests.coordinator.searches.spaces import plain
 
-from qdgrasp_coordinator.dispatch import Dispatch
-from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.search import AIMED, Search, method
-from qdgrasp_coordinator.stretch import to_message
+from qdgrasp_coordinator.counts.stretch import to_message
+from qdgrasp_coordinator.dispatching.dispatch import Dispatch
+from qdgrasp_coordinator.runs.pipeline import Pipeline
+from qdgrasp_coordinator.searches.search import AIMED, Search, method
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Result, Work

@@ -16,9 +16,9 @@ from tests.benchmarks.naive import Published
 from qdgrasp_assets.catalog import build_scene, gripper_names, object_names
 from qdgrasp_assets.genes import layout
 from qdgrasp_coordinator.bench.regimes import PRIOR, Regime, Regimes
-from qdgrasp_coordinator.preparation import full_spec
-from qdgrasp_coordinator.search import method
-from qdgrasp_coordinator.space import space
+from qdgrasp_coordinator.runs.preparation import full_spec
+from qdgrasp_coordinator.searches.search import method
+from qdgrasp_coordinator.searches.space import space
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.serving.child import SLICE

@@ -11,7 +11,7 @@ from tests.benchmarks import alone
 from tests.benchmarks.measure import Figure
 
 from qdgrasp_assets.catalog import object_names
-from qdgrasp_coordinator.preparation import full_spec
+from qdgrasp_coordinator.runs.preparation import full_spec
 from qdgrasp_protocol.spec import DEFAULT_METHOD
 
 EVALUATIONS = 1000

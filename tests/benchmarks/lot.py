@@ -6,8 +6,8 @@ from tests.benchmarks.measure import Figure, Meter
 from tests.benchmarks.naive import Naive
 from tests.benchmarks.stages import Profile
 
-from qdgrasp_coordinator.pace import BATCH_SECONDS, FIRST_ROWS
-from qdgrasp_coordinator.search import Search
+from qdgrasp_coordinator.dispatching.pace import BATCH_SECONDS, FIRST_ROWS
+from qdgrasp_coordinator.searches.search import Search
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows

@@ -11,10 +11,10 @@ import numpy as np
 from msgspec.structs import replace
 from tests.benchmarks.measure import Figure, Meter, Subject, in_turns
 
-from qdgrasp_coordinator.books import Books
-from qdgrasp_coordinator.journal_format import Identity
-from qdgrasp_coordinator.journal_writer import JournalWriter
-from qdgrasp_coordinator.stretch import Stretch, to_message
+from qdgrasp_coordinator.counts.stretch import Stretch, to_message
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
+from qdgrasp_coordinator.recording.books import Books
 from qdgrasp_protocol.messages import Open, OpenRun
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape

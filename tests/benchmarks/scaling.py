@@ -13,7 +13,7 @@ from tests.benchmarks.measure import ROUNDS, Figure, spread
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_coordinator.bench.regimes import PRIOR, Regime, Regimes
-from qdgrasp_coordinator.pace import FIRST_ROWS
+from qdgrasp_coordinator.dispatching.pace import FIRST_ROWS
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.serving.child import SLICE

@@ -13,8 +13,8 @@ from tests.chaos.slow_simulator import PACE
 from tests.endpoints import own_endpoint
 from tests.system.commands import rows_recorded
 
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.preparation import make_bundle
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.runs.preparation import make_bundle
 from qdgrasp_protocol.spec import RunSpec
 
 JOB = "chaos"

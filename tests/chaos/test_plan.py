@@ -5,7 +5,7 @@ from itertools import islice
 import pytest
 from tests.chaos.plan import COURSES, DEAD, GAPS, HEAD, STILL, Deed, blows, course, opening
 
-from qdgrasp_coordinator.member import GRACE
+from qdgrasp_coordinator.dispatching.member import GRACE
 from qdgrasp_protocol.session import SETTINGS
 
 WORKERS = 4

@@ -13,8 +13,8 @@ from tests.chaos.undisturbed import recorded_digest, undisturbed_digest
 from tests.chaos.worker import SIMULATOR
 from tests.system.commands import wait_for
 
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.journal_format import FILE
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal_format import FILE
 from qdgrasp_protocol.errors import TookOver
 
 COURSE = Course("contact_rand", "paper", 60, 0.05)

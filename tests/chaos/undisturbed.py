@@ -7,8 +7,8 @@ from pathlib import Path
 
 from tests.chaos.process import ROOT, Process
 
-from qdgrasp_coordinator.digest import digest
-from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.folders.digest import digest
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 ROOMS = ("assets", "coordinator", "protocol", "worker")

@@ -1,10 +1,10 @@
 import threading
 
 import pytest
-from tests.coordinator.recording import Coordinator
+from tests.coordinator.recording.recorded import Coordinator
 
-from qdgrasp_coordinator.journal_writer import JournalWriter
-from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_protocol.local_bus import LocalNetwork
 
 
@@ -29,5 +29,5 @@ def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         append(journal, stretch, epoch, now)
 
     monkeypatch.setattr(JournalWriter, "append", limited)
-    monkeypatch.setattr("qdgrasp_coordinator.room.RETRY_INTERVAL", 0.02)
+    monkeypatch.setattr("qdgrasp_coordinator.recording.room.RETRY_INTERVAL", 0.02)
     return room

@@ -9,9 +9,9 @@ import pytest
 from tests.deploy.commands import DEPLOY, filled, understood
 from tests.endpoints import own_endpoint
 
-from qdgrasp_coordinator.campaign import read_campaign
-from qdgrasp_coordinator.campaign_runs import CampaignRuns
-from qdgrasp_coordinator.job_folder import JobFolder
+from qdgrasp_coordinator.campaigns.campaign import read_campaign
+from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_protocol.crew import GRACE
 
 SLURM = DEPLOY / "slurm"

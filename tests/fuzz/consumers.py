@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from qdgrasp_coordinator.batch import readable
-from qdgrasp_coordinator.figures import Figures, JobFigures, JobMeta, WorkerFigures, from_json, to_json
-from qdgrasp_coordinator.stretch import from_message
-from qdgrasp_coordinator.subject import Subject
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, WorkerFigures, from_json, to_json
+from qdgrasp_coordinator.counts.stretch import from_message
+from qdgrasp_coordinator.dispatching.batch import readable
+from qdgrasp_coordinator.recording.subject import Subject
 from qdgrasp_protocol import codec, messages
 from qdgrasp_protocol.messages import Message
 from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, Shape, pack, unpack

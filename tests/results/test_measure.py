@@ -15,10 +15,10 @@ from tests.results.make_rows import BEFORE, TODAY
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.analysis.target import Targets
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.journal_format import Identity
-from qdgrasp_coordinator.journal_writer import JournalWriter
-from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml

@@ -6,7 +6,7 @@ from tests.benchmarks.results.programme import Programme, Wanted, chosen, progra
 from tests.benchmarks.results.row import Key, Row
 from tests.results.make_rows import BEFORE, TODAY, row
 
-from qdgrasp_coordinator.campaign import campaign
+from qdgrasp_coordinator.campaigns.campaign import campaign
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec, to_values
 
@@ -31,7 +31,7 @@ class TestFiles:
         assert programme().wanted.keys() == known.wanted.keys()
 
     def test_the_default_is_compared_with_every_method_of_the_paper(self, known) -> None:
-        from qdgrasp_coordinator.search import PAPER
+        from qdgrasp_coordinator.searches.search import PAPER
 
         methods = {one.method for one in known.wanted if (one.gripper, one.budget) == ("panda", 5000)}
         assert {method.name for method in PAPER} < methods

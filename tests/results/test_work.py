@@ -10,8 +10,8 @@ from tests.benchmarks.results.programme import Programme, Wanted
 from tests.benchmarks.results.store import Store
 from tests.results.make_rows import TODAY
 
-from qdgrasp_coordinator.campaign_folder import begin
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.campaigns.campaign_folder import begin
+from qdgrasp_coordinator.watching.supervisor import Team
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.spec import RunSpec

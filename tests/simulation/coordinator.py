@@ -9,13 +9,13 @@ from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
 from tests.simulation.world import World
 
-from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.inbox import JoinRequest, LinkChange
-from qdgrasp_coordinator.lane import Lane
-from qdgrasp_coordinator.opener import Begun, Failed
-from qdgrasp_coordinator.record import RecorderLink
-from qdgrasp_coordinator.service import MAX_PATIENCE
-from qdgrasp_coordinator.turn import Turn
+from qdgrasp_coordinator.runs.assignment import Assignment
+from qdgrasp_coordinator.serving.inbox import JoinRequest, LinkChange
+from qdgrasp_coordinator.serving.lane import Lane
+from qdgrasp_coordinator.serving.opener import Begun, Failed
+from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.service import MAX_PATIENCE
+from qdgrasp_coordinator.serving.turn import Turn
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel
 from qdgrasp_protocol.errors import InputError, NoReply, RecorderFellBack, Refused, TookOver

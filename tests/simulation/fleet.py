@@ -14,9 +14,9 @@ from math import inf, nan
 
 import numpy as np
 
-from qdgrasp_coordinator.batch import Lease
-from qdgrasp_coordinator.dispatch import Dispatch
-from qdgrasp_coordinator.pipeline import Pipeline
+from qdgrasp_coordinator.dispatching.batch import Lease
+from qdgrasp_coordinator.dispatching.dispatch import Dispatch
+from qdgrasp_coordinator.runs.pipeline import Pipeline
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.outcome import Outcome

@@ -8,7 +8,7 @@ from signal import SIGABRT, SIGKILL
 from typing import TYPE_CHECKING
 
 import numpy as np
-from tests.coordinator.plans import Task
+from tests.coordinator.runs.plans import Task
 
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.outcome import Outcome

@@ -15,23 +15,23 @@ import msgspec
 from tests.simulation.plan import wild
 from tests.simulation.play import play
 
-from qdgrasp_coordinator import dispatch as dispatching
-from qdgrasp_coordinator.backlog import Backlog
-from qdgrasp_coordinator.batch import Settlement
-from qdgrasp_coordinator.books import Books
-from qdgrasp_coordinator.dispatch import Dispatch
-from qdgrasp_coordinator.generation import Slot
-from qdgrasp_coordinator.holding import Holding
-from qdgrasp_coordinator.intake import Intake, Verdict
-from qdgrasp_coordinator.member import Member
-from qdgrasp_coordinator.outbox import Outbox
-from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.reports import Reports
-from qdgrasp_coordinator.roster import Overdue, Roster
-from qdgrasp_coordinator.scribe import Scribe
-from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_coordinator.tickets import Stub, Tickets
-from qdgrasp_coordinator.turn import Turn
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.dispatching import dispatch as dispatching
+from qdgrasp_coordinator.dispatching.backlog import Backlog
+from qdgrasp_coordinator.dispatching.batch import Settlement
+from qdgrasp_coordinator.dispatching.dispatch import Dispatch
+from qdgrasp_coordinator.dispatching.member import Member
+from qdgrasp_coordinator.dispatching.roster import Overdue, Roster
+from qdgrasp_coordinator.dispatching.tickets import Stub, Tickets
+from qdgrasp_coordinator.recording.books import Books
+from qdgrasp_coordinator.recording.holding import Holding
+from qdgrasp_coordinator.recording.intake import Intake, Verdict
+from qdgrasp_coordinator.recording.reports import Reports
+from qdgrasp_coordinator.recording.scribe import Scribe
+from qdgrasp_coordinator.runs.generation import Slot
+from qdgrasp_coordinator.runs.pipeline import Pipeline
+from qdgrasp_coordinator.serving.outbox import Outbox
+from qdgrasp_coordinator.serving.turn import Turn
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.serving.appointment import Appointment
 from qdgrasp_worker.serving.desk import Desk

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from tests.simulation.world import World
 
-from qdgrasp_coordinator.inbox import LinkChange, TokenChange
+from qdgrasp_coordinator.serving.inbox import LinkChange, TokenChange
 from qdgrasp_protocol.bus import Channel, Query, Sample
 from qdgrasp_protocol.errors import NoReply
 

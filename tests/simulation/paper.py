@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from qdgrasp_coordinator.books import Books
-from qdgrasp_coordinator.holding import Holding
-from qdgrasp_coordinator.journal_format import Identity
-from qdgrasp_coordinator.ledger import Ledger
-from qdgrasp_coordinator.stretch import Stretch, joined
-from qdgrasp_coordinator.subject import Subject, check_same
+from qdgrasp_coordinator.counts.stretch import Stretch, joined
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.recording.books import Books
+from qdgrasp_coordinator.recording.holding import Holding
+from qdgrasp_coordinator.recording.ledger import Ledger
+from qdgrasp_coordinator.recording.subject import Subject, check_same
 from qdgrasp_protocol.errors import DiskFull
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, from_toml

@@ -15,7 +15,9 @@ from tests.simulation.searching import Violated
 from tests.simulation.stage import Stage
 from tests.simulation.watch import Watch
 
-from qdgrasp_coordinator import intake, outbox, record, tickets
+from qdgrasp_coordinator.dispatching import tickets
+from qdgrasp_coordinator.recording import intake
+from qdgrasp_coordinator.serving import outbox, record
 
 LIMIT = 4000.0
 """Simulated seconds that a history takes at most."""

@@ -8,8 +8,8 @@ from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
 from tests.simulation.world import World
 
-from qdgrasp_coordinator.recorder import REST
-from qdgrasp_coordinator.scribe import Scribe
+from qdgrasp_coordinator.recording.recorder import REST
+from qdgrasp_coordinator.recording.scribe import Scribe
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.errors import DiskFull, NoReply, Refused

@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from qdgrasp_coordinator.search import Search
+from qdgrasp_coordinator.searches.search import Search
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 

@@ -5,7 +5,7 @@ from functools import lru_cache
 from math import inf
 from typing import TYPE_CHECKING, TypeVar
 
-from tests.coordinator.plans import Plan, reference
+from tests.coordinator.runs.plans import Plan, reference
 from tests.simulation.coordinator import Coordinator
 from tests.simulation.formula import Mishaps, Speed
 from tests.simulation.network import Network
@@ -18,9 +18,9 @@ from tests.simulation.worker import Forger, Worker
 from tests.simulation.world import World
 
 from qdgrasp_assets.scene import Bundle
-from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.goals import Goals
-from qdgrasp_coordinator.pipeline import Pipeline
+from qdgrasp_coordinator.counts.goals import Goals
+from qdgrasp_coordinator.runs.assignment import Assignment
+from qdgrasp_coordinator.runs.pipeline import Pipeline
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 if TYPE_CHECKING:

@@ -1,9 +1,9 @@
 """What histories have found, each in its smallest form."""
 
-from tests.coordinator.dispatching import ANN, EPOCH, settle, with_work
+from tests.coordinator.dispatching.leases import ANN, EPOCH, settle, with_work
 
-from qdgrasp_coordinator.batch import Settlement
-from qdgrasp_coordinator.dispatch import Dispatch
+from qdgrasp_coordinator.dispatching.batch import Settlement
+from qdgrasp_coordinator.dispatching.dispatch import Dispatch
 from qdgrasp_protocol.messages import Joined
 from qdgrasp_worker.serving.appointment import Appointment
 

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.coordinator import make_believe
-from tests.coordinator.plans import SHAPE, Plan, Task, evaluate, reference
-from tests.coordinator.spaces import plain
+from tests.coordinator.runs.plans import SHAPE, Plan, Task, evaluate, reference
+from tests.coordinator.searches import make_believe
+from tests.coordinator.searches.spaces import plain
 from tests.simulation.network import Terms
 from tests.simulation.plan import FAULTS, History, draw
 from tests.simulation.play import Verdict, play
 
-from qdgrasp_coordinator.search import AIMED, PAPER, Method, Search
 from qdgrasp_coordinator.searches.aimed import START
+from qdgrasp_coordinator.searches.search import AIMED, PAPER, Method, Search
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 

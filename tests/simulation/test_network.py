@@ -6,7 +6,7 @@ import pytest
 from tests.simulation.network import LEASE, Network, Session, Terms
 from tests.simulation.world import Clock, World
 
-from qdgrasp_coordinator.inbox import LinkChange, TokenChange
+from qdgrasp_coordinator.serving.inbox import LinkChange, TokenChange
 from qdgrasp_protocol.bus import Channel, Sample
 
 

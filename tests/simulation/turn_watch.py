@@ -4,15 +4,15 @@ from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
-from tests.coordinator.plans import Task
+from tests.coordinator.runs.plans import Task
 from tests.simulation.coordinator import Coordinator
 from tests.simulation.invariants import require
 from tests.simulation.worker import CREDIT
 
-from qdgrasp_coordinator import pace, tickets
-from qdgrasp_coordinator.batch import Batch, Lease, Settled, Settlement
-from qdgrasp_coordinator.dispatch import Dispatch, Lost
-from qdgrasp_coordinator.member import SCENES
+from qdgrasp_coordinator.dispatching import pace, tickets
+from qdgrasp_coordinator.dispatching.batch import Batch, Lease, Settled, Settlement
+from qdgrasp_coordinator.dispatching.dispatch import Dispatch, Lost
+from qdgrasp_coordinator.dispatching.member import SCENES
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.rows import Rows
 

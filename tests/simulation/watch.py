@@ -10,12 +10,13 @@ from tests.simulation.stage import Stage
 from tests.simulation.turn_watch import TurnWatch
 from tests.simulation.worker import CREDIT, Worker
 
-from qdgrasp_coordinator import intake, outbox
-from qdgrasp_coordinator.books import Books
-from qdgrasp_coordinator.intake import Verdict
-from qdgrasp_coordinator.lane import Lane
-from qdgrasp_coordinator.outbox import Outbox
-from qdgrasp_coordinator.record import RecorderLink
+from qdgrasp_coordinator.recording import intake
+from qdgrasp_coordinator.recording.books import Books
+from qdgrasp_coordinator.recording.intake import Verdict
+from qdgrasp_coordinator.serving import outbox
+from qdgrasp_coordinator.serving.lane import Lane
+from qdgrasp_coordinator.serving.outbox import Outbox
+from qdgrasp_coordinator.serving.record import RecorderLink
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.serving.desk import Desk
 

@@ -11,13 +11,13 @@ from unittest.mock import patch
 
 import msgspec
 import numpy as np
-from tests.coordinator.plans import Task
+from tests.coordinator.runs.plans import Task
 from tests.simulation.formula import Formula, Mishaps, Speed
 from tests.simulation.network import Network
 from tests.simulation.process import Life, Listen, Process
 from tests.simulation.world import World
 
-from qdgrasp_coordinator.inbox import LinkChange, TokenChange
+from qdgrasp_coordinator.serving.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel, Declaration, Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import msgspec
 
-from qdgrasp_coordinator.digest import digest
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.summary import summary
+from qdgrasp_coordinator.campaigns.summary import summary
+from qdgrasp_coordinator.folders.digest import digest
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 
 PATIENCE = 120.0  # seconds that anything may take before a test fails

@@ -13,10 +13,10 @@ import trimesh
 from tests.system.commands import Commands, is_alive, kill, processes_of, rows_recorded, wait_for
 from tests.system.test_bad_input import sentence
 
-from qdgrasp_coordinator.campaign import read_campaign
-from qdgrasp_coordinator.digest import digest
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.job_folder import JobFolder
+from qdgrasp_coordinator.campaigns.campaign import read_campaign
+from qdgrasp_coordinator.folders.digest import digest
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 
 EVERY = Path(__file__).parents[2] / "deploy" / "campaigns" / "every.toml"
 SMALL = """

@@ -9,7 +9,7 @@ import pytest
 from tests.endpoints import own_endpoint
 from tests.system.commands import LONG, Commands, is_alive, kill, processes_of, rows_recorded, wait_for
 
-from qdgrasp_coordinator.job_folder import JobFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 

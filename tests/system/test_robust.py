@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.system.commands import Commands, rows_recorded, wait_for
 
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.ranking import best, grasps
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.keeping.ranking import best, grasps
 
 CUBE = ("--gripper", "panda", "--object", "rubiks_cube", "--population", 20, "--evaluations", 40)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
-from qdgrasp_coordinator.cells import cells, keys
+from qdgrasp_coordinator.counts.cells import cells, keys
 
 
 class Coverage(Struct, frozen=True, kw_only=True):

@@ -8,8 +8,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.niches import (
+from qdgrasp_coordinator.counts.niches import (
     UNKNOWN,
     Keys,
     NicheArchive,
@@ -19,7 +18,8 @@ from qdgrasp_coordinator.niches import (
     without_orientation,
     without_synergy,
 )
-from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.outcome import Outcome
 
 

@@ -9,9 +9,9 @@ import msgspec
 
 from qdgrasp_coordinator.analysis.history import History, history
 from qdgrasp_coordinator.analysis.target import Target, Targets
-from qdgrasp_coordinator.folder import SPEC, RunFolder
-from qdgrasp_coordinator.job_folder import RUNS
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.folders.folder import SPEC, RunFolder
+from qdgrasp_coordinator.folders.job_folder import RUNS
+from qdgrasp_coordinator.searches.search import METHODS
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.spec import Overlaps, RunSpec

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.cells import cells, keys
-from qdgrasp_coordinator.tally import counted
+from qdgrasp_coordinator.counts.cells import cells, keys
+from qdgrasp_coordinator.counts.tally import counted
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps

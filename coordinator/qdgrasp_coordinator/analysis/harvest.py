@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import SceneObject
-from qdgrasp_coordinator import disk, lock
 from qdgrasp_coordinator.analysis.reference import Origin, ReferenceSet, read_references
-from qdgrasp_coordinator.cells import best, cells
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.tally import successes
+from qdgrasp_coordinator.counts.cells import best, cells
+from qdgrasp_coordinator.counts.tally import successes
+from qdgrasp_coordinator.folders import disk, lock
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows

@@ -18,9 +18,9 @@ from qdgrasp_coordinator.analysis.metrics import NEAR, Metrics
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
 from qdgrasp_coordinator.analysis.target import Target
-from qdgrasp_coordinator.cells import cells, keys
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.tally import counted, successful, tally
+from qdgrasp_coordinator.counts.cells import cells, keys
+from qdgrasp_coordinator.counts.tally import counted, successful, tally
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 from qdgrasp_protocol.trials import trials

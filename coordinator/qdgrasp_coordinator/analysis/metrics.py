@@ -11,9 +11,9 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.cells import cells, keys
-from qdgrasp_coordinator.scores import SHAKES, Scores, eta
-from qdgrasp_coordinator.tally import successes
+from qdgrasp_coordinator.counts.cells import cells, keys
+from qdgrasp_coordinator.counts.scores import SHAKES, Scores, eta
+from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_protocol.rows import Rows
 
 BINS = 18

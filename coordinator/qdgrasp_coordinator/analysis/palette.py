@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from matplotlib.colors import to_hex, to_rgb
 
-from qdgrasp_coordinator.search import METHODS, PRIORS
+from qdgrasp_coordinator.searches.search import METHODS, PRIORS
 
 Dashes = Literal["-"] | tuple[float, Sequence[float]]
 INK, FAINT, RULE, CONTEXT = "#22262b", "#69717a", "#d9dde1", "#c9ced3"

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.arrays import read_arrays
+from qdgrasp_coordinator.counts.arrays import read_arrays
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 
 EXPECTED = "expected an .npz file with '<object>.cm' and '<object>.fitness'"

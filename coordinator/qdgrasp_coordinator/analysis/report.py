@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.analysis.claims import Judged, judged
 from qdgrasp_coordinator.analysis.curve_figures import draw_curves, draw_matrix
 from qdgrasp_coordinator.analysis.entries import Entry, entries, histories, run_folders
@@ -34,6 +33,7 @@ from qdgrasp_coordinator.analysis.tables import (
 )
 from qdgrasp_coordinator.analysis.target import Targets
 from qdgrasp_coordinator.analysis.voxel_figure import draw_voxels, drawn_method, voxels
+from qdgrasp_coordinator.folders import disk
 from qdgrasp_protocol.errors import FolderError, UnknownName
 
 OUT = "analysis"

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.hand import Floats, hand
-from qdgrasp_coordinator.poses import postures
+from qdgrasp_coordinator.counts.poses import postures
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Rows
 

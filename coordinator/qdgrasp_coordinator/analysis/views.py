@@ -15,7 +15,7 @@ from qdgrasp_coordinator.analysis.hand import hand
 from qdgrasp_coordinator.analysis.layers import FINE, Image
 from qdgrasp_coordinator.analysis.light import lit, soft_light
 from qdgrasp_coordinator.analysis.rays import Camera, Floats, Solid, camera
-from qdgrasp_coordinator.cells import PER_METRE, cells, keys
+from qdgrasp_coordinator.counts.cells import PER_METRE, cells, keys
 from qdgrasp_protocol.rows import Rows
 
 ELEVATION = np.radians(26.0)

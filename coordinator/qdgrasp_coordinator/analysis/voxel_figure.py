@@ -16,10 +16,10 @@ from qdgrasp_coordinator.analysis.picture import SURVIVED, scale_bar, triad
 from qdgrasp_coordinator.analysis.rays import Floats
 from qdgrasp_coordinator.analysis.sheet import Sheet, heading
 from qdgrasp_coordinator.analysis.views import FITNESS, best_in_cells, hues_of_fitness, side_of, view_of_cells
-from qdgrasp_coordinator.cells import cells
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.scores import eta, scored
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.counts.cells import cells
+from qdgrasp_coordinator.counts.scores import eta, scored
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.searches.search import METHODS
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.trials import trials
 

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Bundle, Scene
-from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.bench.figures import Pace, SceneFigures, pace, run_seconds, scaling
 from qdgrasp_coordinator.bench.node import peak_memory
 from qdgrasp_coordinator.bench.regimes import PRIOR, Regime, Regimes
 from qdgrasp_coordinator.bench.stopwatch import Stopwatch
-from qdgrasp_coordinator.job_folder import RUN
-from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.preparation import scene_shape
-from qdgrasp_coordinator.programme import Single
-from qdgrasp_coordinator.progress import Display
-from qdgrasp_coordinator.record import Memory
-from qdgrasp_coordinator.service import CoordinatorService
-from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_coordinator.watch import Watch
+from qdgrasp_coordinator.campaigns.programme import Single
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.folders.job_folder import RUN
+from qdgrasp_coordinator.runs.assignment import Assignment
+from qdgrasp_coordinator.runs.pipeline import Pipeline
+from qdgrasp_coordinator.runs.preparation import scene_shape
+from qdgrasp_coordinator.serving.record import Memory
+from qdgrasp_coordinator.serving.service import CoordinatorService
+from qdgrasp_coordinator.watching.progress import Display
+from qdgrasp_coordinator.watching.watch import Watch
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.keys import Keys

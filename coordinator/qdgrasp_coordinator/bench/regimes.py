@@ -9,7 +9,7 @@ from math import pi
 
 import numpy as np
 
-from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_protocol.genome import Genomes, Layout
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows

@@ -15,8 +15,8 @@ from qdgrasp_coordinator.bench.figures import NodeFigures
 from qdgrasp_coordinator.bench.node import node
 from qdgrasp_coordinator.bench.regimes import METHOD
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.preparation import full_spec, make_bundle
-from qdgrasp_coordinator.progress import PlainLines
+from qdgrasp_coordinator.runs.preparation import full_spec, make_bundle
+from qdgrasp_coordinator.watching.progress import PlainLines
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.spec import RunSpec

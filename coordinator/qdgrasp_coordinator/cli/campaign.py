@@ -5,15 +5,15 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_coordinator.campaign import Campaign, read_campaign
-from qdgrasp_coordinator.campaign_folder import begin, open_campaign
-from qdgrasp_coordinator.campaign_runs import CampaignRuns
+from qdgrasp_coordinator.campaigns.campaign import Campaign, read_campaign
+from qdgrasp_coordinator.campaigns.campaign_folder import begin, open_campaign
+from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped, going_on
-from qdgrasp_coordinator.figures import screened_words
-from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
-from qdgrasp_coordinator.progress import display
-from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_coordinator.counts.figures import screened_words
+from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.watching.progress import display
+from qdgrasp_coordinator.watching.supervisor import Door, Team
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import lifetime

@@ -2,9 +2,9 @@
 
 import typer
 
-from qdgrasp_coordinator.job_folder import JobFolder
-from qdgrasp_coordinator.progress import Display
-from qdgrasp_coordinator.supervisor import Supervisor, Team
+from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.watching.progress import Display
+from qdgrasp_coordinator.watching.supervisor import Supervisor, Team
 from qdgrasp_protocol.errors import EndedEarly
 from qdgrasp_protocol.lifetime import Stop
 

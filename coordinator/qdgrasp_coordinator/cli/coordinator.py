@@ -7,15 +7,15 @@ from typing import Annotated
 import structlog
 import typer
 
-from qdgrasp_coordinator import preparation
-from qdgrasp_coordinator.campaign import is_campaign, read_campaign
-from qdgrasp_coordinator.campaign_runs import CampaignRuns
+from qdgrasp_coordinator.campaigns.campaign import is_campaign, read_campaign
+from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
+from qdgrasp_coordinator.campaigns.programme import Programme, Single
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
-from qdgrasp_coordinator.programme import Programme, Single
-from qdgrasp_coordinator.record import RecorderLink
-from qdgrasp_coordinator.service import CoordinatorService
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.runs import preparation
+from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.credentials import Credentials, Role

@@ -12,7 +12,7 @@ from qdgrasp_coordinator.analysis.harvest import identity
 from qdgrasp_coordinator.analysis.reference import is_stand_in, read_reference
 from qdgrasp_coordinator.analysis.released import released_archive
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 
 

@@ -3,8 +3,8 @@
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.digest import digest as digest_of
-from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.folders.digest import digest as digest_of
+from qdgrasp_coordinator.folders.folder import RunFolder
 
 
 def digest(directory: options.RunDir) -> None:

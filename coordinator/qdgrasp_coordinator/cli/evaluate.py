@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.poses import read_poses, write_scores
-from qdgrasp_coordinator.preparation import make_bundle
-from qdgrasp_coordinator.progress import display
-from qdgrasp_coordinator.scoring import score
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.counts.poses import read_poses, write_scores
+from qdgrasp_coordinator.runs.preparation import make_bundle
+from qdgrasp_coordinator.watching.progress import display
+from qdgrasp_coordinator.watching.scoring import score
+from qdgrasp_coordinator.watching.supervisor import Team
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.spec import run_spec
 from qdgrasp_protocol.trials import trials

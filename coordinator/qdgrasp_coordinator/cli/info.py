@@ -5,9 +5,9 @@ import json
 import msgspec
 import typer
 
+from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.summary import summary
+from qdgrasp_coordinator.folders.folder import RunFolder
 
 
 def info(directory: options.RunDir, as_json: options.Json = False) -> None:

@@ -7,7 +7,7 @@ import typer
 
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.asking import place, session
-from qdgrasp_coordinator.overview import overview, utc_now
+from qdgrasp_coordinator.watching.overview import overview, utc_now
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.credentials import Role
 from qdgrasp_protocol.printable import printable

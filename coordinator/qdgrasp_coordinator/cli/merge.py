@@ -8,7 +8,7 @@ import msgspec
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.folders.folder import RunFolder
 
 
 def merge(
@@ -25,7 +25,9 @@ def merge(
 
     Example: qdgrasp merge runs/mug-s0 runs/mug-s1 --out runs/mug-all
     """
-    from qdgrasp_coordinator.merging import merge as merge_runs  # the scene's libraries take their time
+    from qdgrasp_coordinator.keeping.merging import (
+        merge as merge_runs,  # the scene's libraries take their time
+    )
 
     found = merge_runs([RunFolder.open(directory) for directory in directories], out)
     if as_json:

@@ -5,7 +5,7 @@ import json
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.searches.search import METHODS
 
 COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "summary")
 WIDTHS = (18, 10, 9, 11, 22, 0)

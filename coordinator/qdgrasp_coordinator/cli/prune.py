@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.job_folder import JobFolder
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 
 
 def prune(
@@ -19,8 +19,10 @@ def prune(
 
     Example: qdgrasp prune runs/demo
     """
-    from qdgrasp_coordinator.pruning import prune as prune_run  # the archives' libraries take their time
-    from qdgrasp_coordinator.pruning import prune_all
+    from qdgrasp_coordinator.keeping.pruning import (
+        prune as prune_run,  # the archives' libraries take their time
+    )
+    from qdgrasp_coordinator.keeping.pruning import prune_all
 
     is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
     if not is_campaign:

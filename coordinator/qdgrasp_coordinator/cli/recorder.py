@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.recorder import RecorderService
+from qdgrasp_coordinator.recording.recorder import RecorderService
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.credentials import Credentials, Role

@@ -9,7 +9,7 @@ import typer
 from qdgrasp_coordinator.analysis.harvest import build as build_sets
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.folder import RunFolder
+from qdgrasp_coordinator.folders.folder import RunFolder
 
 app = typer.Typer(no_args_is_help=True, help="Reference sets of graspable positions: build them from runs.")
 

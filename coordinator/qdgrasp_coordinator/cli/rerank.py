@@ -7,19 +7,19 @@ import msgspec
 import typer
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator import preparation
 from qdgrasp_coordinator.analysis.diversity import synergies_of
 from qdgrasp_coordinator.analysis.harvest import identity
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out
 from qdgrasp_coordinator.cli.run import finish
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.niches import niches
-from qdgrasp_coordinator.poses import as_given
-from qdgrasp_coordinator.progress import display
-from qdgrasp_coordinator.ranking import best, grasps, note_source
-from qdgrasp_coordinator.search import method
-from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_coordinator.counts.niches import niches
+from qdgrasp_coordinator.counts.poses import as_given
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.keeping.ranking import best, grasps, note_source
+from qdgrasp_coordinator.runs import preparation
+from qdgrasp_coordinator.searches.search import method
+from qdgrasp_coordinator.watching.progress import display
+from qdgrasp_coordinator.watching.supervisor import Door, Team
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.genome import GIVEN

@@ -4,14 +4,14 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_coordinator.budget import extend
+from qdgrasp_coordinator.campaigns.budget import extend
+from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out
 from qdgrasp_coordinator.cli.run import finish, show_ranking
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.progress import display
-from qdgrasp_coordinator.summary import summary
-from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.watching.progress import display
+from qdgrasp_coordinator.watching.supervisor import Door, Team
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.lifetime import lifetime

@@ -6,14 +6,14 @@ from typing import Annotated, Any
 
 import typer
 
-from qdgrasp_coordinator import preparation
+from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped, going_on
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.progress import display
-from qdgrasp_coordinator.ranking import is_reranking, write_ranking
-from qdgrasp_coordinator.summary import summary
-from qdgrasp_coordinator.supervisor import Door, Team
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.keeping.ranking import is_reranking, write_ranking
+from qdgrasp_coordinator.runs import preparation
+from qdgrasp_coordinator.watching.progress import display
+from qdgrasp_coordinator.watching.supervisor import Door, Team
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import Stop, lifetime

@@ -14,15 +14,15 @@ import numpy as np
 
 from qdgrasp_assets.genes import FEATURES, MOST_CANDIDATES
 from qdgrasp_assets.rotation import Floats
-from qdgrasp_coordinator.draws import draws
 from qdgrasp_coordinator.searches.aims import OWN, SYNERGY, TARGET, Aims, directions, joined, scattered
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_coordinator.searches.frontier import ANYWHERE, Frontier, Places
 from qdgrasp_coordinator.searches.gate import Gate
 from qdgrasp_coordinator.searches.hints import Hints
 from qdgrasp_coordinator.searches.ranker import Ranker
 from qdgrasp_coordinator.searches.scouts import scouts
+from qdgrasp_coordinator.searches.space import Space
 from qdgrasp_coordinator.searches.spare import Spare
-from qdgrasp_coordinator.space import Space
 from qdgrasp_protocol.genome import Genomes, Layout
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows

@@ -6,7 +6,7 @@ import numpy as np
 
 from qdgrasp_assets.genes import FEATURES
 from qdgrasp_assets.rotation import Floats
-from qdgrasp_coordinator.cells import PER_METRE
+from qdgrasp_coordinator.counts.cells import PER_METRE
 from qdgrasp_protocol.genome import Genomes, Layout
 
 TARGET, CONTACT, ROLL, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_coordinator.archive import Box
-from qdgrasp_coordinator.cells import cells
-from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.counts.cells import cells
+from qdgrasp_coordinator.searches.archive import Box
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.outcome import Outcome

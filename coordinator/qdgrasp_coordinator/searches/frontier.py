@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.rotation import Floats, dot
-from qdgrasp_coordinator.archive import Box
-from qdgrasp_coordinator.cells import PER_METRE, cells
+from qdgrasp_coordinator.counts.cells import PER_METRE, cells
+from qdgrasp_coordinator.searches.archive import Box
 from qdgrasp_coordinator.searches.logistic import Logistic
 
 Places = NDArray[np.intp]

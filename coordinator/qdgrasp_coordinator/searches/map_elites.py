@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.archive import Archive, Box, Elites
-from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.searches.archive import Archive, Box, Elites
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_coordinator.searches.random import uniform
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows

@@ -6,7 +6,7 @@ overlaps, and evaluates that generation twice in any case; here every genome is 
 
 import numpy as np
 
-from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 

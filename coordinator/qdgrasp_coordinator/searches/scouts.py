@@ -10,7 +10,7 @@ import numpy as np
 from qdgrasp_assets.genes import NU_A
 from qdgrasp_assets.rotation import Floats, tangents, turned
 from qdgrasp_coordinator.searches.aims import CONTACT, OWN, TARGET, Aims
-from qdgrasp_coordinator.space import Space
+from qdgrasp_coordinator.searches.space import Space
 
 NEAR = 0.5
 """The nearer share of the hand's distances: farther off hardly anything is held, by any hand."""

@@ -11,7 +11,7 @@ from tests.benchmarks.results.store import Store
 from tests.benchmarks.results.work import carry_on
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.watching.supervisor import Team
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_worker.platform import code_digest

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tests.benchmarks.results.programme import Programme
 from tests.benchmarks.results.row import Key, Row
 
-from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.spec import RunSpec
 
 ANY = RunSpec(gripper="any", object="any")

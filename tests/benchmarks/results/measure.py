@@ -16,10 +16,10 @@ from qdgrasp_coordinator.analysis.history import Finds
 from qdgrasp_coordinator.analysis.metrics import Metrics
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.target import Targets
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.journal import Journal
-from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_coordinator.tally import counted, tally
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.counts.tally import counted, tally
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec

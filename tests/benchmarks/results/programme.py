@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.benchmarks.results.row import Key, Row, key
 
-from qdgrasp_coordinator.campaign import Campaign, read_campaign
+from qdgrasp_coordinator.campaigns.campaign import Campaign, read_campaign
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
 

@@ -10,8 +10,8 @@ from tests.benchmarks.results.page import page
 from tests.benchmarks.results.programme import Programme, Wanted
 from tests.benchmarks.results.row import Key, Row
 
-from qdgrasp_coordinator import disk
 from qdgrasp_coordinator.analysis.target import Targets
+from qdgrasp_coordinator.folders import disk
 
 PAGE = "index.md"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 from tests.benchmarks.results.row import COLUMNS, NEEDED, Key, Row, written
 
-from qdgrasp_coordinator import disk, lock
+from qdgrasp_coordinator.folders import disk, lock
 from qdgrasp_protocol.errors import InputError
 
 Table = Mapping[Key, Row]

@@ -11,19 +11,19 @@ from tests.benchmarks.results.store import Store
 
 import qdgrasp_coordinator
 from qdgrasp_assets.catalog import check_object, find_gripper
-from qdgrasp_coordinator.campaign import Campaign, campaign, read_campaign
-from qdgrasp_coordinator.campaign_folder import begin
+from qdgrasp_coordinator.campaigns.campaign import Campaign, campaign, read_campaign
+from qdgrasp_coordinator.campaigns.campaign_folder import begin
 from qdgrasp_coordinator.cli.carrying import carry_out
-from qdgrasp_coordinator.job_folder import CAMPAIGN, JobFolder
-from qdgrasp_coordinator.progress import display
-from qdgrasp_coordinator.supervisor import Team
+from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.watching.progress import display
+from qdgrasp_coordinator.watching.supervisor import Team
 from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.spec import RunSpec, to_values
 from qdgrasp_worker.platform import platform
 
 NAME_DIGITS = 12
-SEARCHING = ("archive", "cells", "draws", "generation", "pipeline", "search", "space", "tally")
+SEARCHING = ("counts/cells", "counts/tally", "runs/generation", "runs/pipeline")
 """Modules of the coordinator, beside the searches, that have a say in what is asked."""
 
 

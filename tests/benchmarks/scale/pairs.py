@@ -11,8 +11,8 @@ from tests.benchmarks.scale.figures import Figure
 
 from qdgrasp_coordinator.bench.course import Course
 from qdgrasp_coordinator.bench.regimes import METHOD
-from qdgrasp_coordinator.preparation import full_spec, make_bundle
-from qdgrasp_coordinator.progress import PlainLines
+from qdgrasp_coordinator.runs.preparation import full_spec, make_bundle
+from qdgrasp_coordinator.watching.progress import PlainLines
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus

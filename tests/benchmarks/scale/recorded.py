@@ -13,12 +13,12 @@ from tests.benchmarks.scale.figures import Figure
 from tests.benchmarks.scale.prepared import SHAPE
 from tests.benchmarks.scale.rig import JOB, Watch, assignment, coordinate, resident, router
 from tests.benchmarks.scale.stand_ins import Crowd, crowds
-from tests.coordinator.spaces import plain
+from tests.coordinator.searches.spaces import plain
 
-from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.lane import Lane
-from qdgrasp_coordinator.record import RecorderLink
-from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.runs.assignment import Assignment
+from qdgrasp_coordinator.searches.search import method
+from qdgrasp_coordinator.serving.lane import Lane
+from qdgrasp_coordinator.serving.record import RecorderLink
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 

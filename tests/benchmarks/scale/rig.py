@@ -17,12 +17,12 @@ from tests.benchmarks.scale.stand_ins import Ready
 from tests.endpoints import own_endpoint
 
 from qdgrasp_assets.scene import Bundle
-from qdgrasp_coordinator.assignment import Assignment
-from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.programme import Extent
-from qdgrasp_coordinator.record import Record
-from qdgrasp_coordinator.search import Search
-from qdgrasp_coordinator.service import CoordinatorService
+from qdgrasp_coordinator.campaigns.programme import Extent
+from qdgrasp_coordinator.runs.assignment import Assignment
+from qdgrasp_coordinator.runs.pipeline import Pipeline
+from qdgrasp_coordinator.searches.search import Search
+from qdgrasp_coordinator.serving.record import Record
+from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.spec import RunSpec, to_toml
 from qdgrasp_protocol.zenoh_bus import ZenohBus

@@ -9,10 +9,10 @@ from tests.benchmarks.scale.figures import Figure
 from tests.benchmarks.scale.prepared import SHAPE
 from tests.benchmarks.scale.rig import JOB, Watch, assignment, coordinate, router
 from tests.benchmarks.scale.stand_ins import Crowd, crowds
-from tests.coordinator.spaces import plain
+from tests.coordinator.searches.spaces import plain
 
 from qdgrasp_coordinator.bench.course import Unkept
-from qdgrasp_coordinator.search import Search, method
+from qdgrasp_coordinator.searches.search import Search, method
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.rows import Rows
 

@@ -15,9 +15,9 @@ from tests.benchmarks.scale.figures import Figure
 from tests.benchmarks.scale.rig import JOB, Several, Watch, assignment, router
 from tests.benchmarks.scale.stand_ins import Crowd, Ready, crowds
 
-from qdgrasp_coordinator.assignment import Assignment
 from qdgrasp_coordinator.bench.course import Unkept
-from qdgrasp_coordinator.service import CoordinatorService
+from qdgrasp_coordinator.runs.assignment import Assignment
+from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_protocol.bus import Channel
 from qdgrasp_protocol.endpoint import parse_all
 from qdgrasp_protocol.keys import Keys

@@ -10,10 +10,10 @@ from qdgrasp_assets.scene import Scene, pack_scene
 from qdgrasp_coordinator.analysis.diversity import Diversity
 from qdgrasp_coordinator.analysis.history import NU_BINS, History, Steps
 from qdgrasp_coordinator.analysis.target import Target
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.journal_format import Identity
-from qdgrasp_coordinator.journal_writer import JournalWriter
-from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_protocol.spec import RunSpec, to_toml

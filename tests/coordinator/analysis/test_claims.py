@@ -10,7 +10,7 @@ from qdgrasp_coordinator.analysis.claims import CLAIMS, Band, Judged, Verdict, j
 from qdgrasp_coordinator.analysis.entries import entries
 from qdgrasp_coordinator.analysis.findings import by_scene, late, near, reached
 from qdgrasp_coordinator.analysis.history import History
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.searches.search import METHODS
 
 
 def runs(method: str, *ends: int, **differing: object) -> list[History]:

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from qdgrasp_coordinator.analysis.diversity import diversity
-from qdgrasp_coordinator.niches import UNKNOWN, NicheArchive, Synergies
-from qdgrasp_coordinator.orientations import MIDDLES
+from qdgrasp_coordinator.counts.niches import UNKNOWN, NicheArchive, Synergies
+from qdgrasp_coordinator.counts.orientations import MIDDLES
 from qdgrasp_protocol.genome import Gene, Layout
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape

@@ -6,7 +6,7 @@ from tests.coordinator.analysis.runs import climb, made, random_rows, record
 
 from qdgrasp_coordinator.analysis.entries import entries, histories, run_folders, usual
 from qdgrasp_coordinator.analysis.target import Targets
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.searches.search import METHODS
 from qdgrasp_protocol.errors import FolderError
 
 

@@ -9,10 +9,10 @@ import pytest
 from tests.coordinator.analysis.conftest import SceneMaker
 from tests.coordinator.analysis.runs import random_rows, record
 
-from qdgrasp_coordinator import campaign_runs, finding
-from qdgrasp_coordinator.campaign_runs import finished
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.pruning import prune
+from qdgrasp_coordinator.campaigns import campaign_runs, finding
+from qdgrasp_coordinator.campaigns.campaign_runs import finished
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.keeping.pruning import prune
 from qdgrasp_protocol.errors import FolderError
 
 N = 100

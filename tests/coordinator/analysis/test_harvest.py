@@ -11,10 +11,10 @@ from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.analysis.harvest import build, identity
 from qdgrasp_coordinator.analysis.reference import read_reference, read_references
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.journal_format import Identity
-from qdgrasp_coordinator.journal_writer import JournalWriter
-from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_protocol.errors import AssetError, FolderError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape

@@ -17,17 +17,17 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.harvest import harvested
 from qdgrasp_coordinator.analysis.history import history
 from qdgrasp_coordinator.analysis.target import Target
-from qdgrasp_coordinator.digest import digest
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.job_folder import JobFolder
-from qdgrasp_coordinator.journal_writer import JournalWriter
-from qdgrasp_coordinator.merging import merge
-from qdgrasp_coordinator.pruning import prune, prune_all
-from qdgrasp_coordinator.ranking import grasps
-from qdgrasp_coordinator.reduction import kept
-from qdgrasp_coordinator.stretch import Stretch
-from qdgrasp_coordinator.summary import Summary, summary
-from qdgrasp_coordinator.tally import successes
+from qdgrasp_coordinator.campaigns.summary import Summary, summary
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.counts.tally import successes
+from qdgrasp_coordinator.folders.digest import digest
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
+from qdgrasp_coordinator.keeping.merging import merge
+from qdgrasp_coordinator.keeping.pruning import prune, prune_all
+from qdgrasp_coordinator.keeping.ranking import grasps
+from qdgrasp_coordinator.keeping.reduction import kept
 from qdgrasp_protocol.errors import DiskFull, FolderError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
@@ -126,7 +126,7 @@ def test_a_full_disk_leaves_the_run_as_it_was(runs, monkeypatch) -> None:
         error.sqlite_errorcode = sqlite3.SQLITE_FULL
         raise error
 
-    monkeypatch.setattr("qdgrasp_coordinator.reduction.insert", full)
+    monkeypatch.setattr("qdgrasp_coordinator.keeping.reduction.insert", full)
     with pytest.raises(DiskFull):
         prune(run)
     assert digest_of(run) == before
@@ -236,7 +236,7 @@ def test_a_run_that_grows_while_it_is_merged_is_refused(tmp_path, scene, runs, m
     rows["outcome"] = Outcome.HELD
     growing = record(tmp_path / "growing", scene, rows[:40], evaluations=N, seed=7)
     module = {"summary": "reduction", "rows_of": "merging"}[moment]
-    read = getattr(importlib.import_module(f"qdgrasp_coordinator.{module}"), moment)
+    read = getattr(importlib.import_module(f"qdgrasp_coordinator.keeping.{module}"), moment)
 
     def grown(folder: RunFolder, *rest: int) -> object:
         with growing.journal() as journal:
@@ -246,7 +246,7 @@ def test_a_run_that_grows_while_it_is_merged_is_refused(tmp_path, scene, runs, m
                 journal.append(Stretch(40, rows[40:]), 1, 2.0)
         return read(folder, *rest)
 
-    monkeypatch.setattr(f"qdgrasp_coordinator.{module}.{moment}", grown)
+    monkeypatch.setattr(f"qdgrasp_coordinator.keeping.{module}.{moment}", grown)
     with pytest.raises(FolderError, match="'growing' grew while it was read; wait until it is done"):
         merge([growing, runs[0]], tmp_path / "all")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["growing", "run-0", "run-1", "run-2"]

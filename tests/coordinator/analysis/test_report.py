@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from qdgrasp_coordinator.analysis.harvest import build
 from qdgrasp_coordinator.analysis.report import Report, report
+from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.summary import summary
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, UnknownName
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.trials import TRIALS

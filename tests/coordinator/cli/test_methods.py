@@ -5,7 +5,7 @@ import json
 from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.search import METHODS
+from qdgrasp_coordinator.searches.search import METHODS
 from qdgrasp_protocol.spec import DEFAULT_METHOD
 
 

@@ -11,11 +11,11 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.cli.rerank import spec_of
-from qdgrasp_coordinator.folder import RunFolder
-from qdgrasp_coordinator.journal_format import Identity
-from qdgrasp_coordinator.journal_writer import JournalWriter
-from qdgrasp_coordinator.search import check
-from qdgrasp_coordinator.stretch import Stretch
+from qdgrasp_coordinator.counts.stretch import Stretch
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
+from qdgrasp_coordinator.searches.search import check
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.coordinator.make_believe import covered, evaluate, play, shape, space
+from tests.coordinator.searches.make_believe import covered, evaluate, play, shape, space
 
-from qdgrasp_coordinator.cells import cells
-from qdgrasp_coordinator.pipeline import Pipeline
-from qdgrasp_coordinator.search import method
+from qdgrasp_coordinator.counts.cells import cells
+from qdgrasp_coordinator.runs.pipeline import Pipeline
 from qdgrasp_coordinator.searches import aimed, spare
 from qdgrasp_coordinator.searches.aimed import START, Aimed
 from qdgrasp_coordinator.searches.aims import CANDIDATES, CONTACT, LOOSENESS, TARGET
+from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec

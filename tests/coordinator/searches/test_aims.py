@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from qdgrasp_coordinator.cells import cells
+from qdgrasp_coordinator.counts.cells import cells
 from qdgrasp_coordinator.searches.aims import Aims, scattered
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_coordinator.searches.frontier import Frontier, Places
 
 BOX = (np.full(3, -0.05), np.full(3, 0.05))

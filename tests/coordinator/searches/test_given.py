@@ -3,10 +3,10 @@
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.spaces import plain
+from tests.coordinator.searches.spaces import plain
 
-from qdgrasp_coordinator.preparation import full_spec
-from qdgrasp_coordinator.search import METHODS, check, method
+from qdgrasp_coordinator.runs.preparation import full_spec
+from qdgrasp_coordinator.searches.search import METHODS, check, method
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 

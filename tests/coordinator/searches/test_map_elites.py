@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.archive import Elites
-from qdgrasp_coordinator.draws import draws
+from qdgrasp_coordinator.searches.archive import Elites
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_coordinator.searches.map_elites import MapElites, mutate, select_successes, select_uniform
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Shape

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.coordinator.make_believe import DEEPEST, PALM, SIZE, space
+from tests.coordinator.searches.make_believe import DEEPEST, PALM, SIZE, space
 
 from qdgrasp_coordinator.searches.aims import Aims, directions
 from qdgrasp_coordinator.searches.scouts import scouts

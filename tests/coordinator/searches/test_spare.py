@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.draws import draws
 from qdgrasp_coordinator.searches import spare
+from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_coordinator.searches.frontier import Frontier, Places
 from qdgrasp_coordinator.searches.hints import Hints
 from qdgrasp_coordinator.searches.spare import AGAIN, TRUST, Spare

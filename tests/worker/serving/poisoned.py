@@ -4,7 +4,7 @@ import os
 import sys
 
 import numpy as np
-from tests.coordinator.plans import SHAPE, evaluate
+from tests.coordinator.runs.plans import SHAPE, evaluate
 
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Shape

@@ -1,7 +1,7 @@
 """Rows that end every simulator, from the coordinator to the journal."""
 
-from tests.coordinator.plans import Plan, reference
-from tests.coordinator.serving import Job
+from tests.coordinator.runs.plans import Plan, reference
+from tests.coordinator.serving.served import Job
 from tests.worker.serving.hired import Hired
 from tests.worker.serving.poisoned import COMMAND
 

@@ -1,0 +1,1 @@
+"""Many runs under one name: how they are written down, begun, counted."""

@@ -1,0 +1,74 @@
+"""The programme of a job: its runs, one after the other, each made when its turn comes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from qdgrasp_coordinator.campaigns.totals import NOTHING, Totals
+from qdgrasp_coordinator.runs.assignment import Assignment
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much a programme has to do, counted before its first run is opened."""
+
+    runs: int
+    evaluations: int
+    """The budgets of all runs."""
+    runs_done: int = 0
+    """Runs that were finished before; they are not opened again."""
+    done: Totals = NOTHING
+    """What these found."""
+
+    def with_done(self, found: Totals) -> "Extent":
+        """The same, with one more run that was finished before."""
+        return replace(self, runs_done=self.runs_done + 1, done=self.done + found)
+
+
+class Programme(Protocol):
+    """What every programme does."""
+
+    extent: Extent
+
+    def next(self) -> Assignment | None:
+        """The next run to carry out; None when there is none left.
+
+        Raises
+        ------
+        RunFailed
+            It cannot be made; the one behind it still may.
+        DiskFull
+            There is no room for it now; it is made when `next` is called again and there is.
+        """
+
+    def put_back(self, run: str) -> None:
+        """Have `next` make a run again, before any other: it is to be gone on with from its records.
+
+        May be called in another thread than `next`.
+        """
+
+
+class Single:
+    """The programme of a job with one run.
+
+    Parameters
+    ----------
+    make
+        Makes the run, at its very beginning.
+    evaluations
+        Its budget.
+    """
+
+    def __init__(self, make: Callable[[], Assignment], evaluations: int) -> None:
+        self.extent = Extent(runs=1, evaluations=evaluations)
+        self._make = make
+        self._is_due = True
+
+    def next(self) -> Assignment | None:
+        """The run, whenever it is due."""
+        is_due, self._is_due = self._is_due, False
+        return self._make() if is_due else None
+
+    def put_back(self, run: str) -> None:
+        """Have it made again."""
+        self._is_due = True

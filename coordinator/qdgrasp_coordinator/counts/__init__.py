@@ -1,0 +1,1 @@
+"""What is counted and known of a run: its stretches, cells, niches, poses, figures."""

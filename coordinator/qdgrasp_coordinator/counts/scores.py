@@ -1,0 +1,83 @@
+"""Scores: the fitness that a search hears of each success, read from a journal.
+
+Where the evaluation protocol has trials it is their fitness in sum, known once all of them are recorded;
+elsewhere it is the nominal fitness. Over all shakes of the trials it is eta, the estimated probability that
+the grasp transfers (Huber et al. 2024, section IV: 100 trials of two shakes, so it is the sum over 200).
+"""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.counts.tally import successes
+from qdgrasp_protocol.rows import Rows
+
+SHAKES = 2
+"""In each evaluation."""
+
+
+class Scores:
+    """Gathers the trials of each success while the blocks of a journal pass in order.
+
+    Parameters
+    ----------
+    trials
+        How many trials a success has; 0: the protocol has none.
+    """
+
+    def __init__(self, trials: int) -> None:
+        self._trials = trials
+        self._waiting: Rows | None = None
+        """Successes whose trials are not complete, in journal order; `fitness` is the sum so far."""
+        self._seen = np.zeros(0, dtype=np.int64)
+        """How many trials of each of them were added."""
+
+    def take(self, rows: Rows) -> Rows:
+        """The nominal successes whose score is known with these rows, in journal order: (n,).
+
+        Their `fitness` is the score: 0 to 2, or 0 to twice the number of trials.
+        """
+        found = successes(rows)
+        if not self._trials:
+            return found
+        found["fitness"] = 0
+        waiting = found if self._waiting is None else np.concatenate([self._waiting, found])
+        self._seen = np.concatenate([self._seen, np.zeros(len(found), np.int64)])
+        return self._add(waiting, rows[rows["trial"] > 0])
+
+    def _add(self, waiting: Rows, trials: Rows) -> Rows:
+        """Add trials to the sums; gives the successes that have all of theirs, in a journal the first."""
+        place = np.searchsorted(_names(waiting), _names(trials))
+        np.add.at(waiting["fitness"], place, trials["fitness"])
+        np.add.at(self._seen, place, 1)
+        n = int(np.count_nonzero(self._seen == self._trials))
+        self._waiting, self._seen = waiting[n:], self._seen[n:]
+        return waiting[:n]
+
+
+def scored(blocks: Iterable[Rows], trials: int) -> Iterator[Rows]:
+    """The scored successes of a journal, block by block; see `Scores.take`."""
+    scores = Scores(trials)
+    for block in blocks:
+        yield scores.take(block)
+
+
+def sums(journal: Rows, trials: int) -> NDArray[np.float64]:
+    """Of each nominal row of a whole journal (n,): its score, 0 for what is no success."""
+    nominal = journal[journal["trial"] == 0]
+    found = Scores(trials).take(journal)
+    totals = np.zeros(len(nominal))
+    totals[np.searchsorted(_names(nominal), _names(found))] = found["fitness"]
+    return totals
+
+
+def eta(fitness: NDArray[np.number], trials: int) -> NDArray[np.float64]:
+    """Of scores (n,) over `trials` trials: (n,), 0 to 1."""
+    return fitness.astype(np.float64) / (SHAKES * trials)
+
+
+def _names(rows: Rows) -> NDArray[np.uint64]:
+    """One number for the genome of each row, ascending in a journal: (n,)."""
+    names: NDArray[np.uint64] = (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
+    return names

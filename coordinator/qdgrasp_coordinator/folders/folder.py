@@ -1,0 +1,184 @@
+"""The folder of a run: what it holds, and how it is begun.
+
+* `spec.toml`     the full spec: `qdgrasp run DIR/spec.toml --out OTHER` repeats the run
+* `scene.bundle`  the scene, as workers fetch it
+* `run.sqlite`    the journal, once a recorder has opened it
+
+Beside them are the files of its job (`job_folder`), unless it is one of a campaign's.
+"""
+
+import hashlib
+from pathlib import Path
+
+from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
+from qdgrasp_coordinator.folders import disk, journal_format
+from qdgrasp_coordinator.folders.job_folder import LOGS, RUN, RUNS, Job, JobFolder
+from qdgrasp_coordinator.folders.journal import Journal
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.errors import FolderError, MessageError
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_protocol.spec import RunSpec, read_run_spec, run_spec, to_toml
+
+SPEC, SCENE = "spec.toml", "scene.bundle"
+
+
+class RunFolder:
+    """A run's folder; made by `create`, `add` or `open`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def create(
+        cls, path: Path, spec: RunSpec, bundle: Bundle | None, *, job: str | None = None
+    ) -> "RunFolder":
+        """Begin the folder of a run that is a job of its own; it appears whole or not at all.
+
+        Parameters
+        ----------
+        bundle
+            The scene; None: it is added later (`add_bundle`).
+        job
+            The job's name; None: the folder's name, reduced to the allowed characters.
+
+        Raises
+        ------
+        FolderError
+            The folder holds another run or other files, or cannot be made.
+        """
+        cls.check_free(path)
+        disk.create(path, Job.begun(path, job).file | files(spec, bundle), folders=[LOGS])
+        return cls(path)
+
+    @classmethod
+    def add(cls, job: JobFolder, run: str, spec: RunSpec, bundle: Bundle | None) -> "RunFolder":
+        """Begin the folder of one of a campaign's runs; raises as `create`."""
+        path = job.run_path(run)
+        disk.check_free(path)
+        disk.create(path, files(spec, bundle))
+        return cls(path)
+
+    @classmethod
+    def open(cls, path: Path) -> "RunFolder":
+        """The folder of a run that was begun.
+
+        Raises
+        ------
+        FolderError
+            There is no such folder, or no run in it.
+        """
+        if not path.is_dir():
+            raise FolderError(
+                f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there."
+            )
+        if not cls.is_run(path):
+            raise FolderError(_no_run(path))
+        return cls(path)
+
+    @staticmethod
+    def is_run(path: Path) -> bool:
+        """Whether a run was begun in this folder."""
+        return (path / SPEC).is_file() and JobFolder.is_job(_job_path(path))
+
+    @staticmethod
+    def check_free(path: Path) -> None:
+        """Check that a run of its own can be begun at `path`: nothing is there, or an empty folder.
+
+        Raises
+        ------
+        FolderError
+            Something is there, or it is among the runs of a campaign.
+        """
+        owner = _job_path(path)
+        if owner != path and JobFolder.is_job(owner):
+            raise FolderError(
+                f"{path} is for a run of a campaign: `qdgrasp campaign {owner}` goes on with its runs; "
+                "for a new run name another folder with --out."
+            )
+        if RunFolder.is_run(path):
+            raise FolderError(
+                f"{path} holds a run already: `qdgrasp resume {path}` goes on with it; "
+                "for a new run name another folder with --out."
+            )
+        disk.check_free(path)
+
+    @property
+    def job(self) -> JobFolder:
+        """The folder of the job that it belongs to: itself, or the campaign's."""
+        return JobFolder(_job_path(self.path))
+
+    @property
+    def run(self) -> str:
+        """Its name in its job."""
+        return RUN if JobFolder.is_job(self.path) else self.path.absolute().name
+
+    @property
+    def spec(self) -> RunSpec:
+        """The full spec."""
+        return run_spec(read_run_spec(self.path / SPEC), str(self.path / SPEC))
+
+    def rewrite_spec(self, spec: RunSpec) -> None:
+        """Replace the spec."""
+        self._write(SPEC, to_toml(spec).encode())
+
+    def bundle(self) -> Bundle:
+        """The scene as bytes, with its digest."""
+        payload = disk.read(self.path / SCENE)
+        return Bundle(payload, hashlib.sha256(payload).hexdigest())
+
+    def has_bundle(self) -> bool:
+        """Whether the scene is here; a recorder on another machine begins without."""
+        return (self.path / SCENE).is_file()
+
+    def add_bundle(self, payload: bytes) -> None:
+        """Store the scene."""
+        self._write(SCENE, payload)
+
+    def scene(self) -> Scene:
+        """The scene.
+
+        Raises
+        ------
+        FolderError
+            It is missing or damaged.
+        """
+        try:
+            payload = disk.read(self.path / SCENE)
+            codec.check_bundle(payload)
+            return unpack_scene(payload)
+        except MessageError as error:
+            raise FolderError(
+                f"{self.path / SCENE} cannot be read: {error}; "
+                "use the version of qdgrasp that wrote it, or restore the file from a copy."
+            ) from None
+
+    def journal(self) -> Journal:
+        """The journal as it is now, for a with-block; empty before a recorder opened the run."""
+        if (self.path / journal_format.FILE).exists():
+            return Journal.open(self.path)
+        scene = self.bundle().digest if self.has_bundle() else ""
+        return Journal.empty(Identity(self.run, to_toml(self.spec), scene, Shape(0, 0)))
+
+    def _write(self, name: str, payload: bytes) -> None:
+        with disk.writing(self.path):
+            disk.write(self.path / name, payload)
+
+
+def files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
+    """The files of a new run."""
+    scene = {} if bundle is None else {SCENE: bundle.payload}
+    return {SPEC: to_toml(spec).encode()} | scene
+
+
+def _job_path(path: Path) -> Path:
+    """The folder of the job of a run's folder."""
+    is_part = not JobFolder.is_job(path) and path.absolute().parent.name == RUNS
+    return path.absolute().parent.parent if is_part else path
+
+
+def _no_run(path: Path) -> str:
+    """What is said of a folder that holds no run."""
+    if JobFolder.is_job(path) and JobFolder(path).is_campaign:
+        return f"{path} holds a campaign; name one of its runs, a folder in {path / RUNS}."
+    return f"{path} holds no run: there is no {SPEC} of a job in it; name a run's folder."

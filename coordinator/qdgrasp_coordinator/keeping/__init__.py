@@ -1,0 +1,1 @@
+"""What is done with runs that are there: joined, pruned, ranked, made smaller."""

@@ -1,0 +1,98 @@
+"""Pruning: a finished run without its failures; what all its rows came to stays."""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from qdgrasp_coordinator.campaigns.summary import Summary, summary
+from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.folders.journal_format import FILE, Identity, readable
+from qdgrasp_coordinator.folders.journal_writer import fitting
+from qdgrasp_coordinator.folders.sources import Source
+from qdgrasp_coordinator.keeping.ranking import is_reranking
+from qdgrasp_coordinator.keeping.reduction import rows_of, sources, write
+from qdgrasp_protocol.errors import FolderError
+
+PART = "run.sqlite.part"
+
+
+def prune(folder: RunFolder) -> int:
+    """Drop the failures of a finished run; gives the bytes that this freed.
+
+    The journal is replaced as a whole, or left as it was; whoever reads it meanwhile reads the old one.
+
+    Raises
+    ------
+    FolderError, DiskFull
+        The run is not finished, was pruned before, is in use, ranks poses by all of their trials, or its
+        folder cannot be written.
+    """
+    with folder.job.supervise(), folder.job.lock():
+        return _pruned(folder)
+
+
+@dataclass(frozen=True)
+class Done:
+    """What pruning a campaign came to."""
+
+    freed: int
+    """Bytes."""
+    pruned: int
+    """Runs that keep successes alone now, also those that did before."""
+    runs: int
+
+
+def prune_all(job: JobFolder) -> Done:
+    """Drop the failures of a campaign's finished runs; raises as `prune` does; unfinished ones stay."""
+    freed, pruned = 0, 0
+    with job.supervise(), job.lock():
+        folders = [RunFolder(path) for path in job.run_paths if RunFolder.is_run(path)]
+        for folder in folders:
+            with folder.journal() as journal:
+                is_reduced = bool(journal.sources)
+            if not is_reduced and not summary(folder).complete:
+                continue
+            freed, pruned = freed + (0 if is_reduced else _pruned(folder)), pruned + 1
+    return Done(freed, pruned, len(folders))
+
+
+def _pruned(folder: RunFolder) -> int:
+    """The same, for whoever holds the job's locks."""
+    with folder.journal() as journal:
+        journal.check_whole()
+        shape, run = journal.shape, journal.run
+    (source,) = sources(folder)
+    _check(folder, source)
+    identity = Identity(run, source.spec, source.scene, shape)
+    found = msgspec.structs.replace(
+        msgspec.convert(source.summary, Summary), reduced="failures: only successes are kept"
+    )
+    file, part = folder.path / FILE, folder.path / PART
+    before = file.stat().st_size
+    try:
+        write(part, identity, found, [(source, rows_of(folder, 0))])
+        _settle(file)
+        with disk.writing(folder.path):
+            part.replace(file)
+            disk.sync(folder.path)
+    finally:
+        part.unlink(missing_ok=True)
+    return before - file.stat().st_size
+
+
+def _check(folder: RunFolder, source: Source) -> None:
+    if not source.summary["complete"]:
+        raise FolderError(f"{folder.path} is not finished: what is pruned cannot be gone on with.")
+    if is_reranking(folder):
+        raise FolderError(f"{folder.path} ranks poses, for which every row is needed.")
+
+
+def _settle(file: Path) -> None:
+    """Have all of a journal in its one file, so that another may take its place."""
+    with readable(file), fitting(file.parent), closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA journal_mode = DELETE")

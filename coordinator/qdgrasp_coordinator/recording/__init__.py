@@ -1,0 +1,1 @@
+"""The recorder: what arrives of a job, in order, into the journals of its runs."""

@@ -1,0 +1,1 @@
+"""The coordinator as a service: its lanes, its turn, what it hears and tells."""

@@ -1,0 +1,1 @@
+"""What the one who started a job does: starts its processes, and shows how far they are."""

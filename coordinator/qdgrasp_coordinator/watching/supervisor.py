@@ -1,0 +1,164 @@
+"""One machine: a coordinator, a recorder and workers on loopback, started and watched together.
+
+The same processes, commands and messages as on many machines; there is no second code path.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from qdgrasp_coordinator.counts.figures import JobFigures, from_json
+from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.watching.progress import Display
+from qdgrasp_coordinator.watching.watch import COORDINATOR, Watch
+from qdgrasp_protocol.bus import Sample
+from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.crew import Crew
+from qdgrasp_protocol.endpoint import parse_all
+from qdgrasp_protocol.errors import EndpointError, MessageError
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
+GRACE = 1.2  # seconds that they may take to stop; whoever takes longer loses nothing but its time
+
+
+@dataclass(frozen=True)
+class Door:
+    """Where a job's processes meet, and who else may come in."""
+
+    listen: str | None = None
+    """Endpoint of the embedded router; None: the default port on loopback if it is free, else a free one."""
+    security: Path | None = None
+    """Folder of certificates; None: links are not encrypted."""
+    insecure: bool = False
+    """Listen also where strangers get to."""
+
+    @property
+    def flags(self) -> list[str]:
+        """What the coordinator is started with, besides `proof`."""
+        listen = ["--listen", self.listen] if self.listen else []
+        return [*listen, *(["--insecure"] if self.insecure else [])]
+
+    @property
+    def proof(self) -> list[str]:
+        """What every process is started with."""
+        return ["--security", str(self.security)] if self.security else []
+
+
+@dataclass(frozen=True)
+class Team:
+    """How a job is carried out on this machine; no result depends on it."""
+
+    workers: int
+    batch_size: int | None = None
+    """Rows in a batch; None: measured."""
+    door: Door = Door()
+    disk_wait: float = 60.0
+    """Seconds that a full disk is waited for."""
+    seconds: float | None = None
+    """After so long the job ends, done or not; None: when it is done."""
+
+
+class Supervisor:
+    """Starts a job's processes, shows its progress, and ends them with it."""
+
+    def __init__(self, folder: JobFolder, team: Team, display: Display, stop: Stop) -> None:
+        self._folder = folder
+        self._team = team
+        self._display = display
+        self._stop = stop
+        self._news: SimpleQueue[Sample | None] = SimpleQueue()
+        self._door = team.door
+        self._began = time.monotonic()
+        self._is_paused = False
+
+    def run(self) -> None:
+        """Carry the job out to its end.
+
+        Raises
+        ------
+        EndedEarly
+            The job was cancelled, or processes die again and again; `qdgrasp resume` goes on.
+        InputError
+            A process ended with a sentence that names bad input or environment.
+        """
+        self._stop.tell(lambda: self._news.put(None))
+        with ExitStack() as stack:
+            stack.enter_context(self._folder.supervise())
+            crew = stack.enter_context(Crew(self._folder.logs, GRACE))
+            watch = Watch(crew, self._display, lambda: self._hire_coordinator(crew))
+            self._hire_coordinator(crew)
+            self._await(lambda: self._folder.endpoint is not None, watch)
+            endpoint = self._folder.endpoint
+            if self._stop.is_set or watch.is_done or endpoint is None:
+                return
+            self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
+            self._door = replace(self._door, listen=endpoint)  # one that is started again is found there
+            near = parse_all(endpoint)[0].from_here
+            self._hire_recorder(crew, near)
+            for number in range(self._team.workers):
+                self._hire_worker(crew, near, number)
+            stack.enter_context(self._listen(near, stack, watch))
+            stack.callback(crew.bid_leave)  # while the session is being closed
+            self._await(lambda: watch.is_done, watch)
+
+    def _hire_coordinator(self, crew: Crew) -> None:
+        self._folder.forget_endpoint()
+        arguments = [str(self._folder.path), *self._door.flags, *self._door.proof]
+        if self._team.batch_size:
+            arguments += ["--batch-size", str(self._team.batch_size)]
+        if self._team.seconds is not None:
+            left = self._team.seconds - (time.monotonic() - self._began)
+            arguments += ["--seconds", str(max(0.0, left))]
+        if self._is_paused:
+            arguments.append("--paused")
+        crew.hire(COORDINATOR, "qdgrasp_coordinator.cli.coordinator", arguments)
+
+    def _hire_recorder(self, crew: Crew, endpoint: str) -> None:
+        arguments = [*self._place(endpoint), "--out", str(self._folder.path)]
+        arguments += ["--disk-wait", str(self._team.disk_wait)]
+        crew.hire("recorder", "qdgrasp_coordinator.cli.recorder", arguments)
+
+    def _hire_worker(self, crew: Crew, endpoint: str, number: int) -> None:
+        crew.hire(f"worker-{number}", "qdgrasp_worker.cli", self._place(endpoint))
+
+    def _place(self, endpoint: str) -> list[str]:
+        """Where the others find the coordinator, and what they show there."""
+        return ["--connect", endpoint, "--job", self._folder.name, *self._team.door.proof]
+
+    def _listen(self, endpoint: str, stack: ExitStack, watch: Watch) -> AbstractContextManager[None]:
+        """Hear what the coordinator publishes."""
+        try:
+            credentials = Credentials.find(self._team.door.security, Role.MONITOR)
+            bus = stack.enter_context(ZenohBus.connect(endpoint, 10.0, self._stop, credentials))
+        except EndpointError:
+            watch.look(time.monotonic())  # the coordinator's end says more
+            if watch.is_done:
+                return nullcontext()
+            raise
+        return bus.subscribe(Keys(self._folder.name).stat("job"), self._news.put)
+
+    def _await(self, condition: Callable[[], bool], watch: Watch) -> None:
+        """Look after the processes and show what they report until the condition holds or a signal comes."""
+        while not (condition() or self._stop.is_set or watch.is_done):
+            watch.look(time.monotonic())
+            try:
+                self._show(self._news.get(timeout=LOOK_INTERVAL), watch)
+            except Empty:
+                continue
+
+    def _show(self, news: Sample | None, watch: Watch) -> None:
+        if news is None:
+            return
+        try:
+            figures = from_json(news.payload, JobFigures)
+        except MessageError:
+            return
+        self._is_paused = figures.state == "paused"
+        watch.progressed(figures)
+        self._display.show(figures)

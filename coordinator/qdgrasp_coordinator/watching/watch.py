@@ -1,0 +1,106 @@
+"""The watch over a job's processes: what a death means, and who is started again."""
+
+import signal
+from collections import Counter
+from collections.abc import Callable
+
+from qdgrasp_coordinator.counts.figures import JobFigures
+from qdgrasp_coordinator.watching.progress import Display
+from qdgrasp_protocol.crew import Crew, Death, back_off
+from qdgrasp_protocol.errors import EndedEarly, InputError
+
+COORDINATOR = "coordinator"
+TRIES = 5
+"""So often one process may die in a row by itself while the job does not get any further."""
+KILLS = 20
+"""So often it may be killed from outside meanwhile."""
+OUTSIDE = {-signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM}
+"""How a process ends that somebody, or the kernel, has killed."""
+
+
+class Watch:
+    """Decides what a death in the crew means.
+
+    A process that was killed, or that ended without a sentence, is started again after a while. A coordinator
+    that ended with a sentence has decided to; the job then ends with that sentence.
+
+    Parameters
+    ----------
+    hire_coordinator
+        Starts the coordinator again; None: there is no such process.
+    """
+
+    def __init__(
+        self, crew: Crew, display: Display, hire_coordinator: Callable[[], None] | None = None
+    ) -> None:
+        self._crew = crew
+        self._display = display
+        self._hire_coordinator = hire_coordinator
+        self._hire_at: float | None = None
+        self._deaths: Counter[str] = Counter()
+        self._most = -1
+        self.is_done = False
+        """The coordinator ended with its job complete, or as it was asked to."""
+
+    def progressed(self, figures: JobFigures) -> None:
+        """Hear how far the job is: whoever died before it got further may die as often again."""
+        if figures.evaluations + figures.trials > self._most:
+            self._most = figures.evaluations + figures.trials
+            self._deaths.clear()
+
+    def look(self, now: float) -> None:
+        """Take note of deaths, and start again who may be.
+
+        Raises
+        ------
+        InputError
+            A process ended with a sentence that names bad input or environment.
+        EndedEarly
+            The coordinator decided to end, or a process dies again and again.
+        """
+        for death in self._crew.deaths():
+            if death.name == COORDINATOR:
+                self._coordinator_died(death, now)
+            elif not self.is_done:
+                self._member_died(death, now)
+        self._crew.restart_due(now)
+        if self._hire_coordinator is not None and self._hire_at is not None and now >= self._hire_at:
+            self._hire_at = None
+            self._hire_coordinator()
+
+    def _coordinator_died(self, death: Death, now: float) -> None:
+        words = self._crew.last_words(death.name)
+        if death.exit_code == 0:
+            self.is_done = True
+            return
+        if death.exit_code == InputError.exit_code:
+            raise InputError(words)
+        if words:
+            raise EndedEarly(words)
+        self._count(death)
+        pause = back_off(self._deaths[death.name] - 1)
+        self._hire_at = now + pause
+        self._say(death, pause)
+
+    def _member_died(self, death: Death, now: float) -> None:
+        """A worker or the recorder died; a worker that ended well was asked to leave."""
+        if death.exit_code == 0:
+            self._display.say(f"{death.name} has left")
+            return
+        if death.exit_code == InputError.exit_code and self._hire_at is None:
+            raise InputError(self._crew.last_words(death.name))
+        self._count(death)
+        self._say(death, self._crew.restart_later(death.name, now))
+
+    def _count(self, death: Death) -> None:
+        self._deaths[death.name] += 1
+        most = KILLS if death.exit_code in OUTSIDE else TRIES
+        if self._deaths[death.name] > most:
+            words = self._crew.last_words(death.name)
+            raise EndedEarly(
+                f"The {death.name} died {most + 1} times while the job got no further; "
+                f"the last time it {death.words}. {words}".strip()
+            )
+
+    def _say(self, death: Death, pause: float) -> None:
+        self._display.say(f"{death.name} {death.words}; it is started again in {pause:.1f} s")

@@ -1,0 +1,138 @@
+"""Poses from outside: what is read, what is refused, and what goes back."""
+
+import numpy as np
+import pytest
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_coordinator.counts.poses import as_given, postures, read_poses, scores, write_scores
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.genome import GIVEN
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.decode import Decoder
+from qdgrasp_worker.surface import Surface
+
+POSES = {
+    "base_position": np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0]]),
+    "base_quaternion_xyzw": np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]]),
+}
+
+
+def saved(path, **arrays):
+    np.savez(path, **arrays)
+    return path
+
+
+def test_positions_and_quaternions_are_enough(tmp_path):
+    poses = read_poses(saved(tmp_path / "poses.npz", **POSES, notes=np.arange(5)))
+    assert len(poses) == 2
+    assert (poses.synergies == -1).all()
+    assert np.isnan(poses.spreads).all()
+
+
+def test_no_synergy_and_no_spread_are_accepted_for_every_hand(tmp_path):
+    arrays = {**POSES, "synergy": np.array([-1, -1], np.int8), "spread": np.full((2, 2), np.nan)}
+    assert len(read_poses(saved(tmp_path / "poses.npz", **arrays))) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"base_position": np.zeros((2, 2))}, "shape (n, 3)"),
+        ({"base_position": np.zeros((3, 3))}, "3 rows"),
+        ({"base_position": np.full((2, 3), np.nan)}, "not finite"),
+        ({"base_quaternion_xyzw": np.zeros((2, 4))}, "length zero"),
+        ({"synergy": np.zeros(3, np.int8)}, "synergy"),
+        ({"synergy": np.array(["thumb", "index"])}, "synergy"),
+        ({"synergy": np.array([np.inf, 0.0])}, "infinite"),
+        ({"base_position": np.zeros((0, 3)), "base_quaternion_xyzw": np.zeros((0, 4))}, "no poses"),
+    ],
+)
+def test_arrays_that_cannot_be_are_named(tmp_path, change, words):
+    with pytest.raises(InputError, match=r".") as raised:
+        read_poses(saved(tmp_path / "poses.npz", **(POSES | change)))
+    assert words in str(raised.value)
+
+
+def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):
+    with pytest.raises(InputError, match=r"base_quaternion_xyzw.*base_position"):
+        read_poses(saved(tmp_path / "poses.npz", base_position=POSES["base_position"]))
+
+
+@pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x03\x04 cut short"])
+def test_a_file_that_is_no_npz_is_refused_in_one_sentence(tmp_path, content):
+    (tmp_path / "poses.npz").write_bytes(content)
+    with pytest.raises(InputError, match=r"poses\.npz"):
+        read_poses(tmp_path / "poses.npz")
+
+
+def test_a_lone_array_is_no_npz(tmp_path):
+    np.save(tmp_path / "poses.npy", POSES["base_position"])
+    with pytest.raises(InputError, match="not an npz file"):
+        read_poses(tmp_path / "poses.npy")
+
+
+def test_pickled_arrays_are_never_loaded(tmp_path):
+    np.savez(tmp_path / "poses.npz", base_position=np.array([{}], dtype=object))
+    with pytest.raises(InputError):
+        read_poses(tmp_path / "poses.npz")
+
+
+def test_scores_are_false_and_zero_for_overlaps(tmp_path):
+    rows = Shape(genes=7, joints=2).empty(3)
+    rows["outcome"] = [Outcome.OVERLAP, Outcome.BRUSHED, Outcome.HELD]
+    rows["fitness"] = [0, 0, 2]
+    found = scores(rows)
+    assert found["valid"].tolist() == [False, True, True]
+    assert found["touched"].tolist() == [False, True, True]
+    assert found["success"].tolist() == [False, False, True]
+    assert found["fitness"].tolist() == [0, 0, 2]
+    assert found["fitness"].dtype == np.uint8
+    write_scores(tmp_path / "scores.npz", rows)
+    with np.load(tmp_path / "scores.npz", allow_pickle=False) as file:
+        assert set(file.files) == set(found)
+
+
+def test_a_place_that_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
+    with pytest.raises(InputError, match="nowhere"):
+        write_scores(tmp_path / "nowhere" / "scores.npz", Shape(genes=7, joints=2).empty(1))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("prior", ["contact", "spherical"])
+@pytest.mark.parametrize("hand", ["panda", "barrett", "shadow"])
+def test_rows_as_given_poses_decode_to_the_very_same_grasps(hand: str, prior: str) -> None:
+    """Bit for bit, so that their trials are disturbed in the same way; and so once more."""
+    scene, random = build_scene(RunSpec(gripper=hand, object="tennis_ball")), np.random.default_rng(3)
+    surface = Surface(scene)
+    genomes = random.uniform(-1, 1, (200, len(layout(scene, prior)))).astype(np.float32)
+    expected = Decoder(scene, prior, surface)(genomes)
+    for known in (prior, GIVEN):
+        rows = Shape(genomes.shape[1], len(scene.gripper.joints)).empty(200)
+        rows["genome"] = genomes
+        rows["base_to_object"] = np.hstack([expected.positions, expected.quaternions])
+        assert postures(scene, known, rows).tobytes() == expected.joints.tobytes()
+        genomes = as_given(scene, known, rows)
+        found = Decoder(scene, GIVEN, surface)(genomes)
+        for column in ("positions", "quaternions", "joints", "synergies"):
+            assert getattr(found, column).tobytes() == getattr(expected, column).tobytes()
+
+
+def test_scores_of_poses_in_trials_tell_their_eta() -> None:
+    rows = Shape(genes=7, joints=2).empty(6)
+    rows["index"], rows["trial"] = [0, 1, 2, 1, 1, 1], [0, 0, 0, 1, 2, 3]
+    rows["outcome"] = [
+        Outcome.MISSED,
+        Outcome.HELD,
+        Outcome.OVERLAP,
+        Outcome.HELD,
+        Outcome.SHAKEN,
+        Outcome.ERROR,
+    ]
+    rows["fitness"] = [0, 2, 0, 2, 1, 0]
+    found = scores(rows, trials=3)
+    assert found["eta"].tolist() == [0, 0.5, 0]
+    assert found["success"].tolist() == [False, True, False]
+    assert "eta" not in scores(rows[:3])

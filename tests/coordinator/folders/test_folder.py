@@ -1,0 +1,162 @@
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.journal_writer import JournalWriter
+from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SPEC = RunSpec(gripper="panda", object="mug")
+BUNDLE = Bundle(b"scene", "7ac9b4c4f4f4ab3e9b0c0cd1b4a3a7ef5a3dc1e4e2b2f7a6d0c5b8d2a1e0f9c8")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder.create(tmp_path / "My run 1", SPEC, BUNDLE)
+
+
+def test_a_new_folder_holds_the_spec_the_scene_and_the_job(folder: RunFolder) -> None:
+    again = RunFolder.open(folder.path)
+    assert again.spec == SPEC
+    assert again.bundle().payload == b"scene"
+    assert (again.job.name, again.job.epoch) == ("my-run-1", 0)
+    assert again.job.logs.is_dir()
+    assert sorted(entry.name for entry in folder.path.parent.iterdir()) == ["My run 1"]
+
+
+def test_the_job_may_have_a_name_of_its_own(tmp_path: Path) -> None:
+    assert RunFolder.create(tmp_path / "a" / "b", SPEC, None, job="mugs").job.name == "mugs"
+
+
+def test_an_empty_folder_may_become_a_runs(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    assert RunFolder.create(tmp_path / "run", SPEC, BUNDLE).spec == SPEC
+
+
+def test_another_run_is_never_overwritten_and_its_resume_is_named(folder: RunFolder) -> None:
+    for refuse in (RunFolder.check_free, lambda path: RunFolder.create(path, SPEC, BUNDLE)):
+        with pytest.raises(FolderError, match=f"`qdgrasp resume {folder.path}`"):
+            refuse(folder.path)
+
+
+def test_other_files_are_never_mixed_with_a_run(tmp_path: Path) -> None:
+    for name in "dcba":
+        (tmp_path / name).touch()
+    with pytest.raises(FolderError, match=r"holds other files \(a, b, c \.\.\.\)"):
+        RunFolder.create(tmp_path, SPEC, BUNDLE)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a", "b", "c", "d"]
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "run").touch()
+    with pytest.raises(FolderError, match="is a file"):
+        RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
+    with pytest.raises(FolderError, match="cannot be written: not a directory"):
+        RunFolder.create(tmp_path / "run" / "below", SPEC, BUNDLE)
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match="holds no run"):
+        RunFolder.open(tmp_path)
+    with pytest.raises(FolderError, match="There is no folder"):
+        RunFolder.open(tmp_path / "nowhere")
+
+
+def test_a_creation_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(source: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "rename", full)
+    with pytest.raises(FolderError, match="no room to write"):
+        RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_epoch_survives(folder: RunFolder) -> None:
+    folder.job.set_epoch(41)
+    again = RunFolder.open(folder.path)
+    assert (again.job.epoch, again.job.name) == (41, "my-run-1")
+
+
+def test_a_damaged_job_file_is_named(folder: RunFolder) -> None:
+    (folder.path / "job.json").write_text('{"job": "a", "epoch"')
+    with pytest.raises(FolderError, match=r"job\.json is damaged"):
+        assert folder.job.epoch
+
+
+def test_a_damaged_scene_is_named(folder: RunFolder) -> None:
+    with pytest.raises(FolderError, match=r"scene\.bundle cannot be read"):
+        folder.scene()
+
+
+def test_a_spec_can_be_rewritten(folder: RunFolder) -> None:
+    longer = RunSpec(gripper="panda", object="mug", evaluations=20_000)
+    folder.rewrite_spec(longer)
+    assert RunFolder.open(folder.path).spec == longer
+
+
+def test_the_endpoint_is_known_from_when_it_is_written_until_it_is_forgotten(folder: RunFolder) -> None:
+    assert folder.job.endpoint is None
+    folder.job.write_endpoint("tcp/127.0.0.1:7447")
+    assert RunFolder.open(folder.path).job.endpoint == "tcp/127.0.0.1:7447"
+    folder.job.forget_endpoint()
+    folder.job.forget_endpoint()
+    assert folder.job.endpoint is None
+
+
+def test_a_journal_that_no_recorder_has_opened_is_empty(folder: RunFolder) -> None:
+    with folder.journal() as journal:
+        assert journal.count == 0
+        assert journal.spec == SPEC
+
+
+def test_a_recorded_journal_is_read(folder: RunFolder) -> None:
+    JournalWriter.create(folder.path, Identity("run", to_toml(SPEC), "cd" * 32, Shape(7, 2))).close()
+    with folder.journal() as journal:
+        assert journal.scene == "cd" * 32
+
+
+HOLD = """
+import sys; from pathlib import Path; from qdgrasp_coordinator.folders import lock
+with lock.exclusive(Path(sys.argv[1])):
+    print("held", flush=True); sys.stdin.read()
+"""
+
+
+def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(folder.path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(FolderError, match=f"in use by process {holder.pid}"):
+            folder.job.check_not_in_use()
+        with pytest.raises(FolderError, match=f"in use by process {holder.pid}"), folder.job.lock():
+            pass
+        holder.kill()
+        holder.wait()
+    folder.job.check_not_in_use()
+    with folder.job.lock(), pytest.raises(FolderError, match=f"in use by process {os.getpid()}"):
+        folder.job.check_not_in_use()
+
+
+def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_makes_is_left(
+    tmp_path: Path,
+) -> None:
+    left, held = (tmp_path / f".run.{number}.part" for number in (1, 2))
+    for part in (left, held):
+        part.mkdir()
+        (part / "spec.toml").write_text("half")
+    handle = os.open(held, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
+    os.close(handle)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [held.name, "run"]

@@ -1,0 +1,290 @@
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.coordinator.recording.recorded import (
+    BUNDLE,
+    JOB,
+    SCENE,
+    SHAPE,
+    SPEC,
+    Coordinator,
+    make_rows,
+    recording,
+)
+
+from qdgrasp_coordinator.counts.stretch import Stretch, to_message
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_protocol import chunks, codec
+from qdgrasp_protocol.errors import DiskFull, FolderError, Refused
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.messages import Failure, Opened, Platform, Recordable
+from qdgrasp_protocol.rows import Shape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return RunFolder.create(tmp_path / "run", SPEC, BUNDLE, job=JOB)
+
+
+class TestOpening:
+    def test_each_opening_has_the_next_epoch_and_it_is_on_the_disk(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        for epoch in (1, 2, 3):
+            with recording(network, folder.path):
+                assert coordinator.open() == Opened(epoch=epoch, durable=[0], platform={})
+                assert RunFolder.open(folder.path).job.epoch == epoch
+
+    def test_a_run_goes_on_where_its_journal_ends_on_its_platform(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.put(Platform(epoch=1, platform={"pybullet": "3.2.7"}))
+            coordinator.send(make_rows(30), 0, 30)
+            coordinator.hears_durable(30)
+        with recording(network, folder.path):
+            assert coordinator.open() == Opened(epoch=2, durable=[30], platform={"pybullet": "3.2.7"})
+
+    def test_a_larger_budget_is_taken_over_into_spec_and_journal(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        longer = RunSpec(gripper="panda", object="mug", evaluations=2000)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.open(to_toml(longer))
+        assert folder.spec == longer
+        with folder.journal() as journal:
+            assert journal.spec == longer
+
+    def test_another_spec_or_scene_or_job_is_refused_with_the_difference(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        other = RunSpec(gripper="panda", object="mug", seed=1, mutation_sigma=0.2)
+        for opened_before in (False, True):
+            with recording(network, folder.path):
+                if opened_before:
+                    coordinator.open()
+                with pytest.raises(Refused, match="another spec: seed, mutation_sigma differ"):
+                    coordinator.open(to_toml(other))
+                with pytest.raises(Refused, match="run of scene"):
+                    coordinator.open(scene="0" * 64)
+                with pytest.raises(Refused, match="runs of job 'mugs', not of 'cubes'"):
+                    coordinator.open(job="cubes")
+                with pytest.raises(Refused, match="unknown key 'sed'"):
+                    coordinator.open("gripper = 'a'\nobject = 'b'\nsed = 1")
+        assert folder.job.epoch == 1
+
+    def test_a_recorder_elsewhere_begins_the_folder_and_fetches_the_scene(
+        self, network: LocalNetwork, coordinator: Coordinator, tmp_path: Path
+    ) -> None:
+        with network.session() as bus, recording(network, tmp_path / "new"):
+            bus.answer(Keys(JOB).asset(), lambda query: chunks.answer(query, SCENE, BUNDLE.digest))
+            coordinator.open()
+            coordinator.hears_durable(0)
+            coordinator.page(0, 1)  # answered in the same thread, after the scene was fetched
+        folder = RunFolder.open(tmp_path / "new")
+        assert folder.bundle() == BUNDLE
+        assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
+
+
+class TestRecording:
+    def test_rows_become_durable_and_come_back_in_pages(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(5000)
+        with recording(network, folder.path):
+            coordinator.open()
+            for first in range(0, 5000, 1000):
+                coordinator.send(rows, first, first + 1000, cpu_seconds=1.0)
+            coordinator.hears_durable(5000)
+            pages = [coordinator.page(first, 4096).rows for first in (0, 4096)]
+            assert np.concatenate(pages).tobytes() == rows.tobytes()
+            assert len(coordinator.page(5000, 10)) == 0
+        with folder.journal() as journal:
+            assert journal.cpu_seconds == pytest.approx(5.0)
+
+    def test_lost_repeated_and_overlapping_messages_leave_each_row_once(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(100)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 50, 100)
+            coordinator.hears_durable(0)
+            for first, stop in ((0, 30), (0, 30), (20, 60), (10, 20), (40, 100), (0, 100)):
+                coordinator.send(rows, first, stop)
+            coordinator.hears_durable(100)
+        with folder.journal() as journal:
+            assert journal.rows(0, 1000).tobytes() == rows.tobytes()
+
+    def test_a_duplicate_is_answered_with_what_is_durable(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(10)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+
+    def test_a_replaced_coordinators_rows_are_refused(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(10)
+        with recording(network, folder.path):
+            coordinator.open()
+            assert coordinator.open().epoch == 2
+            coordinator.send(rows, 0, 10, epoch=1)
+            assert coordinator.hears(lambda report: report.epoch == 2).durable == 0
+            coordinator.send(rows, 0, 5)
+            coordinator.hears_durable(5)
+
+    def test_what_is_not_of_the_protocol_is_dropped(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(10)
+        wide = Shape(genes=8, joints=2)
+        with network.session() as bus, recording(network, folder.path):
+            coordinator.open()
+            for payload, kind in ((b"\x90" * 1000, Recordable), (b"", Platform), (b"\xc1", Recordable)):
+                bus.put(Keys(JOB).outcome(1), payload, encoding=codec.encoding(kind))
+            bus.put(Keys(JOB).outcome(1), b"text", encoding="text/plain")
+            coordinator.put(to_message(Stretch(0, wide.empty(3)), "run", 1, wide))
+            failure = (Failure(row=3, reason="behind the end"),)
+            coordinator.send(rows, 0, 3, failures=failure)
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+
+    def test_reasons_of_errors_are_recorded_and_replayed(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows, failures = make_rows(10), (Failure(row=1, reason="the child aborted"),)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 4)
+            coordinator.send(rows, 4, 10, failures=failures)
+            coordinator.hears_durable(10)
+            assert coordinator.page(5, 3).failures == (Failure(row=0, reason="the child aborted"),)
+
+    def test_a_recorder_that_comes_back_goes_on_with_the_same_coordinator(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(20)
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+        with recording(network, folder.path):
+            coordinator.meet()
+            coordinator.send(rows, 10, 20)
+            coordinator.hears_durable(20)
+        with folder.journal() as journal:
+            assert journal.rows(0, 100).tobytes() == rows.tobytes()
+
+    def test_the_platform_reaches_a_recorder_that_was_away_when_it_became_known(
+        self, network: LocalNetwork, folder: RunFolder
+    ) -> None:
+        link, run = RecorderLink(network.session(), JOB, SHAPE), Coordinator(network.session())
+        with recording(network, folder.path):
+            run.meet()
+            link.open(run.question(), 0, lambda: None)
+        link.set_platform({"pybullet": "3.2.7"})
+        link.push(Stretch(0, make_rows(10)))
+        link.tick(0.0)
+        with recording(network, folder.path):
+            run.meet()
+            link.recorder_up(0.1)
+            link.tick(0.2)
+            run.hears(lambda report: report.durable == 10)
+        with folder.journal() as journal:
+            assert journal.platform == {"pybullet": "3.2.7"}
+
+    def test_a_restored_disk_is_reported_to_the_coordinator_that_is_ahead_of_it(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        rows = make_rows(20)
+        with recording(network, folder.path):
+            coordinator.open()
+        coordinator.epoch = 7
+        with recording(network, folder.path):
+            coordinator.meet()
+            coordinator.send(rows, 0, 10)
+            coordinator.hears_durable(10)
+        assert folder.job.epoch == 7
+
+    def test_what_waits_when_the_recorder_is_asked_to_stop_is_committed(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(make_rows(10), 0, 10)
+        with folder.journal() as journal:
+            assert journal.count == 10
+
+    def test_reading_before_the_run_is_opened_is_refused(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder
+    ) -> None:
+        with recording(network, folder.path), pytest.raises(Refused, match="was not opened"):
+            coordinator.page(0, 10)
+
+
+class TestFolders:
+    def test_a_folder_in_use_another_jobs_or_with_other_files_ends_the_recorder(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder, tmp_path: Path
+    ) -> None:
+        (tmp_path / "other").mkdir()
+        (tmp_path / "other" / "file").touch()
+        foreign = RunFolder.create(tmp_path / "foreign", SPEC, BUNDLE, job="cubes").path
+        with folder.job.lock():
+            for path, words in (
+                (folder.path, "is in use"),
+                (tmp_path / "other", "holds other files"),
+                (foreign, "is of job 'cubes', not 'mugs'"),
+            ):
+                with recording(network, path) as running:
+                    running.ends()
+                    assert isinstance(running.error, FolderError)
+                    assert words in str(running.error)
+
+
+class TestFullDisk:
+    def test_it_is_said_and_waited_for_and_nothing_is_lost(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder, room: threading.Event
+    ) -> None:
+        rows = make_rows(3000)
+        room.set()
+        with recording(network, folder.path):
+            coordinator.open()
+            coordinator.send(rows, 0, 1000)
+            coordinator.hears_durable(1000)
+            room.clear()
+            coordinator.send(rows, 1000, 2000)
+            report = coordinator.hears(lambda report: bool(report.trouble))
+            assert report.durable == 1000
+            assert "no room" in report.trouble
+            coordinator.send(rows, 1000, 3000)
+            assert coordinator.page(0, 4096).rows.tobytes() == rows[:1000].tobytes()
+            room.set()
+            assert not coordinator.hears_durable(3000).trouble
+        with folder.journal() as journal:
+            assert journal.rows(0, 4096).tobytes() == rows.tobytes()
+
+    def test_after_its_patience_the_recorder_ends_and_names_resume(
+        self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder, room: threading.Event
+    ) -> None:
+        with recording(network, folder.path, disk_wait=0.2) as running:
+            coordinator.open()
+            coordinator.send(make_rows(1000), 0, 1000)
+            running.ends()
+            assert isinstance(running.error, DiskFull)
+            assert running.error.exit_code == 2
+            assert f"`qdgrasp resume {folder.path}` goes on" in str(running.error)
+        with folder.journal() as journal:
+            assert journal.count == 0

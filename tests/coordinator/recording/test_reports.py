@@ -1,0 +1,55 @@
+from math import inf
+
+from qdgrasp_coordinator.recording.reports import INTERVAL, MEMORY, Reports
+
+
+def test_news_is_reported_at_once() -> None:
+    reports = Reports()
+    reports.news("a", 5.0)
+    assert reports.deadline == 5.0
+    assert reports.due(5.0) == ["a"]
+    assert reports.due(5.0) == []
+
+
+def test_a_run_that_was_heard_of_is_reported_each_second_for_a_while_and_no_longer() -> None:
+    reports, said = Reports(), []
+    reports.heard("a", 0.0)
+    for tenth in range(10 * int(MEMORY + 5)):
+        said += [tenth / 10] * len(reports.due(tenth / 10))
+    assert said == [INTERVAL * n for n in range(1, int(MEMORY / INTERVAL) + 1)]
+    assert reports.deadline == inf
+
+
+def test_what_is_heard_of_often_is_not_reported_more_often() -> None:
+    reports, said = Reports(), 0
+    for tenth in range(100):
+        reports.heard("a", tenth / 10)
+        said += len(reports.due(tenth / 10))
+    assert said == 9
+
+
+def test_runs_are_reported_each_in_its_own_time() -> None:
+    reports = Reports()
+    reports.news("a", 0.0)
+    reports.heard("b", 0.5)
+    assert reports.due(0.5) == ["a"]
+    assert sorted(reports.due(1.5)) == ["a", "b"]
+    reports.news("a", 1.6)
+    assert reports.due(1.6) == ["a"]
+
+
+def test_a_run_that_was_forgotten_is_remembered_by_its_next_news() -> None:
+    reports = Reports()
+    reports.news("a", 0.0)
+    while reports.deadline < inf:
+        reports.due(reports.deadline)
+    reports.news("a", 100.0)
+    assert reports.due(100.0) == ["a"]
+
+
+def test_all_that_are_remembered_can_be_repeated() -> None:
+    reports = Reports()
+    for run in "abc":
+        reports.heard(run, 0.0)
+    reports.repeat(0.1)
+    assert sorted(reports.due(0.1)) == ["a", "b", "c"]

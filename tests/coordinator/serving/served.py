@@ -1,0 +1,242 @@
+"""A coordinator's service over a bus in memory, with workers that only pretend."""
+
+import hashlib
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from queue import SimpleQueue
+
+import numpy as np
+from tests.coordinator.recording.recorded import JOB
+from tests.coordinator.runs.plans import SHAPE, Plan, evaluate
+
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.campaigns.programme import Extent
+from qdgrasp_coordinator.runs.assignment import Assignment
+from qdgrasp_coordinator.runs.pipeline import Pipeline
+from qdgrasp_coordinator.serving.record import Memory, Record, RecorderLink
+from qdgrasp_coordinator.serving.service import CoordinatorService
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.bus import Bus, Sample
+from qdgrasp_protocol.errors import DiskFull, QdgraspError, RunFailed, TookOver
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.messages import Control, Join, Joined, Opened, OpenRun, Result, Work
+from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
+from qdgrasp_protocol.spec import RunSpec, to_toml
+
+SOON = 20.0
+PLATFORM = {"pybullet": "3.2.7"}
+SPEC = to_toml(RunSpec(gripper="hand", object="thing")).encode()
+WORK = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
+PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for seed in range(6)}
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Look again and again until something holds; the test fails when it takes too long."""
+    deadline = time.monotonic() + SOON
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)  # between two looks; nothing depends on how long it is
+
+
+class Runs:
+    """A programme of runs; those of no plan cannot be made."""
+
+    def __init__(self, plans: dict[str, Plan | None]) -> None:
+        self.extent = Extent(runs=len(plans), evaluations=sum(p.evaluations for p in plans.values() if p))
+        self._plans = plans
+        self._left = list(plans)
+        self.pipelines: list[weakref.ref[Pipeline]] = []
+        self.has_room = threading.Event()
+        self.has_room.set()
+
+    def next(self) -> Assignment | None:
+        if not self._left:
+            return None
+        if not self.has_room.is_set():
+            raise DiskFull("There is no room.")
+        name = self._left.pop(0)
+        plan = self._plans[name]
+        if plan is None:
+            raise RunFailed(name, "Its mesh is no mesh.")
+        pipeline = plan.pipeline()
+        self.pipelines.append(weakref.ref(pipeline))
+        bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
+        return Assignment(name, SPEC, bundle, "none", SHAPE, pipeline, plan.evaluations)
+
+    def put_back(self, run: str) -> None:
+        self._left.insert(0, run)
+
+
+class Pretender:
+    """A worker that joins, and answers each batch in the thread that brings it, or keeps it."""
+
+    def __init__(self, bus: Bus, wid: str, *, answers: bool = True) -> None:
+        self._bus, self._keys, self._wid, self._answers = bus, Keys(JOB), wid, answers
+        self._inbox: SimpleQueue[Sample | None] = SimpleQueue()
+        self.runs: set[str] = set()
+        self.rows = 0
+        self.kept = threading.Event()
+        self.controls: list[Control] = []
+
+    @contextmanager
+    def at_work(self) -> Iterator["Pretender"]:
+        thread = threading.Thread(target=self._run)
+        with ExitStack() as stack:
+            stack.enter_context(self._bus.subscribe(self._keys.work(self._wid), self._inbox.put))
+            stack.enter_context(self._bus.subscribe(self._keys.ctl(self._wid), self._heed))
+            stack.enter_context(self._bus.token(self._keys.worker_token(self._wid)))
+            stack.enter_context(self._bus.watch(self._keys.coordinator_token(), self._met))
+            thread.start()
+            try:
+                yield self
+            finally:
+                self._inbox.put(None)
+                thread.join()
+
+    def _met(self, _key: str, alive: bool) -> None:
+        if alive:
+            threading.Thread(target=self._join).start()
+
+    def _heed(self, sample: Sample) -> None:
+        self.controls.append(codec.decode(sample.payload, Control))
+
+    def _join(self) -> None:
+        request = Join(
+            versions=[1], wid=self._wid, number=1, credit=2, held=[], host="here", pid=1, platform=PLATFORM
+        )
+        codec.decode(self._bus.ask(self._keys.join, codec.encode(request), timeout=SOON), Joined)
+
+    def _run(self) -> None:
+        while (sample := self._inbox.get()) is not None:
+            work = codec.decode(sample.payload, Work)
+            self.runs.add(work.run)
+            self.rows += work.n
+            if self._answers:
+                key, result = self._keys.result(self._wid), self._result(work)
+                self._bus.put(key, codec.encode(result), encoding=codec.encoding(Result))
+            else:
+                self.kept.set()
+
+    def _result(self, work: Work) -> Result:
+        rows = unpack(SHAPE.empty(work.n), WORK, work.columns, SHAPE)
+        found = evaluate(rows)
+        failures = [{"row": int(i), "reason": "poison"} for i in np.flatnonzero(found["outcome"] == 0)]
+        return codec.decode(
+            codec.encode(
+                Result(
+                    epoch=work.epoch,
+                    run=work.run,
+                    generation=work.generation,
+                    batch=work.batch,
+                    attempt=work.attempt,
+                    wid=self._wid,
+                    n=work.n,
+                    joints=SHAPE.joints,
+                    descriptors=SHAPE.descriptors,
+                    columns=pack(found, RESULT),
+                    cpu_seconds=0.001,
+                    failures=failures,  # type: ignore[arg-type]
+                )
+            ),
+            Result,
+        )
+
+
+class Elsewhere(Memory):
+    """The record of a run that was begun on another platform."""
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        return Opened(epoch=1, durable=[0], platform={"pybullet": "2.0"})
+
+
+class Replaced(Memory):
+    """The record of a run that another coordinator has opened."""
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        raise TookOver(JOB, epoch + 1)
+
+
+class Slow(Memory):
+    """A record whose rows take their time to be safe."""
+
+    is_safe = False
+
+    @property
+    def is_empty(self) -> bool:
+        return self.is_safe
+
+
+class Job:
+    """A coordinator of many runs on a network, whose rows stay in memory.
+
+    Parameters
+    ----------
+    recorded
+        Whether a recorder keeps them instead.
+    kinds
+        The records of some runs, where they are not simply `Memory`.
+    """
+
+    def __init__(
+        self,
+        plans: dict[str, Plan | None],
+        *,
+        seconds: float | None = None,
+        recorded: bool = False,
+        **kinds: type[Memory],
+    ) -> None:
+        self._kinds = kinds
+        self._recorded = recorded
+        self.programme = Runs(plans)
+        self.network = LocalNetwork()
+        self.stop = Stop()
+        self.records: dict[str, Memory] = {}
+        self.open: list[int] = []
+        self.bus = self.network.session()
+        self.service = CoordinatorService(
+            self.bus,
+            self.stop,
+            job=JOB,
+            programme=self.programme,
+            make_record=self._record,
+            batch_size=2,
+            seconds=seconds,
+        )
+
+    def _record(self, assignment: Assignment) -> Record:
+        if self._recorded:
+            return RecorderLink(self.bus, JOB, SHAPE)
+        kind = self._kinds.get(assignment.run, Memory)
+        return self.records.setdefault(assignment.run, kind(SHAPE))
+
+    def carry_out(self, workers: int = 2) -> None:
+        with ExitStack() as stack:
+            for number in range(workers):
+                stack.enter_context(Pretender(self.network.session(), f"{number:032x}").at_work())
+            self.service.run(lambda now: self.open.append(self.service.figures(now).runs_open))
+
+    @contextmanager
+    def serving(self) -> Iterator[threading.Thread]:
+        """The service in a thread of its own, stopped at the end if it still goes on."""
+        self.error: Exception | None = None
+        thread = threading.Thread(target=self._serve)
+        thread.start()
+        try:
+            yield thread
+        finally:
+            self.stop.set(15)
+            thread.join(SOON)
+
+    def _serve(self) -> None:
+        try:
+            self.service.run()
+        except QdgraspError as error:
+            self.error = error
+
+    def journals(self) -> dict[str, bytes]:
+        return {name: record.rows.tobytes() for name, record in self.records.items()}

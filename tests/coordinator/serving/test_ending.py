@@ -1,0 +1,30 @@
+"""When a job ends before it is done."""
+
+from math import inf
+
+import pytest
+
+from qdgrasp_coordinator.serving.ending import LEAST, MOST, Ending
+
+
+def test_a_job_ends_by_itself_when_its_time_is_over_and_not_before() -> None:
+    ending = Ending(10.0, now=100.0)
+    assert (ending.is_due(109.9), ending.is_due(110.0)) == (False, True)
+    assert ending.deadline == 110.0
+    assert not ending.is_over(1e9, is_safe=True)
+
+
+def test_a_job_without_a_limit_never_does() -> None:
+    ending = Ending(None, now=0.0)
+    assert (ending.is_due(1e9), ending.deadline) == (False, inf)
+
+
+@pytest.mark.parametrize(("is_safe", "patience"), [(True, LEAST), (False, MOST)])
+def test_an_ending_waits_for_the_recorder_but_not_for_ever(is_safe: bool, patience: float) -> None:
+    ending = Ending(10.0, now=0.0)
+    ending.begin(5.0, "cancelled")
+    assert ending.words == "cancelled"
+    assert not ending.is_due(11.0)
+    assert ending.deadline == inf
+    assert not ending.is_over(4.99 + patience, is_safe=is_safe)
+    assert ending.is_over(5.0 + patience, is_safe=is_safe)

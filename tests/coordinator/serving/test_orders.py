@@ -1,0 +1,145 @@
+"""What may be done to a job while it goes on."""
+
+import json
+import threading
+
+import pytest
+from tests.coordinator.runs.plans import Plan, reference
+from tests.coordinator.serving.served import JOB, PLANS, SOON, Job, Pretender, Slow, until
+
+from qdgrasp_coordinator.watching.overview import JobView, overview
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import EndedEarly, Refused
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import Done, Order
+
+ANN, BOB = "a" * 32, "b" * 32
+LONG = Plan(population=50, evaluations=5000)
+
+
+def tell(bus: Bus, act: str, **whom: str) -> str:
+    order = Order(act=act, **whom)  # type: ignore[arg-type]
+    return codec.decode(bus.ask(Keys(JOB).control, codec.encode(order), timeout=SOON), Done).words
+
+
+def shown(bus: Bus) -> JobView:
+    (view,) = overview(bus)
+    return view
+
+
+def test_a_pause_changes_nothing_that_is_found() -> None:
+    job = Job(dict(PLANS))
+    bus = job.network.session()
+    paused, looks = threading.Event(), iter(range(10**9))
+
+    def look(now: float) -> None:
+        if next(looks) == 5:
+            threading.Thread(target=lambda: (tell(bus, "pause"), paused.set())).start()
+        if paused.is_set():
+            paused.clear()
+            assert job.service.figures(now).state == "paused"
+            threading.Thread(target=tell, args=(bus, "continue")).start()
+
+    with Pretender(job.network.session(), ANN).at_work(), Pretender(job.network.session(), BOB).at_work():
+        job.service.run(look)
+    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
+
+
+def test_nothing_is_handed_out_while_a_job_is_paused() -> None:
+    job = Job({"run-0": LONG})
+    with job.serving(), job.network.session() as bus:
+        assert "is paused" in tell(bus, "pause")
+        assert "already" in tell(bus, "pause")
+        with Pretender(job.network.session(), ANN).at_work() as worker:
+            until(lambda: bool(shown(bus).workers))
+            before = worker.rows
+            assert tell(bus, "continue") == f"Job '{JOB}' goes on."
+            until(lambda: worker.rows > 0)
+    assert before == 0
+
+
+def test_a_cancelled_job_ends_with_what_it_has_and_takes_back_what_is_out() -> None:
+    job = Job({"run-0": LONG})
+    worker = Pretender(job.network.session(), ANN, answers=False)
+    with job.serving() as service, job.network.session() as bus, worker.at_work():
+        assert worker.kept.wait(SOON)
+        assert "ends" in tell(bus, "cancel")
+        service.join(SOON)
+        assert not service.is_alive()
+    assert isinstance(job.error, EndedEarly)
+    assert str(job.error) == f"Job '{JOB}' was cancelled."
+    assert worker.controls[-1].drop
+
+
+def test_a_cancelled_job_waits_for_what_is_found_to_be_safe() -> None:
+    job = Job({"run-0": LONG}, **{"run-0": Slow})
+    worker = Pretender(job.network.session(), ANN)
+    with job.serving() as service, job.network.session() as bus, worker.at_work():
+        until(lambda: worker.rows > 0)
+        tell(bus, "cancel")
+        assert shown(bus).figures.state == "ending"
+        with pytest.raises(Refused, match="ending already"):
+            tell(bus, "pause")
+        record = job.records["run-0"]
+        assert isinstance(record, Slow)
+        record.is_safe = True
+        service.join(SOON)
+    assert isinstance(job.error, EndedEarly)
+
+
+def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
+    job = Job({"run-0": LONG})
+    ann = Pretender(job.network.session(), ANN, answers=False)
+    bob = Pretender(job.network.session(), BOB)
+    with job.serving(), job.network.session() as bus, ann.at_work():
+        assert ann.kept.wait(SOON)
+        assert tell(bus, "drain", worker="aaa").startswith(f"Asked 1 worker of job '{JOB}' to finish")
+        (worker,) = shown(bus).workers
+        assert (worker.state, ann.controls[-1].drain) == ("leaving", True)
+        assert shown(bus).figures.workers == 0
+        before = ann.rows
+        with bob.at_work():
+            until(lambda: bob.rows > 50)
+        assert ann.rows == before
+
+
+@pytest.mark.parametrize(
+    ("whom", "reason"),
+    [
+        ({"worker": "c"}, "has no worker 'c'; there are aaaaaaaa on here, bbbbbbbb on here"),
+        ({"worker": ""}, "not said whom"),
+        ({"host": "moon"}, "has no worker on host 'moon'; there are"),
+    ],
+)
+def test_who_is_not_there_cannot_be_drained(whom: dict[str, str], reason: str) -> None:
+    job = Job({"run-0": LONG})
+    ann, bob = (Pretender(job.network.session(), wid, answers=False) for wid in (ANN, BOB))
+    with job.serving(), job.network.session() as bus, ann.at_work():
+        assert ann.kept.wait(SOON)
+        with bob.at_work():
+            assert bob.kept.wait(SOON)
+            with pytest.raises(Refused, match=reason):
+                tell(bus, "drain", **whom)
+
+
+def test_a_job_whose_time_is_over_ends_without_an_error() -> None:
+    job = Job({"run-0": LONG}, seconds=0.2)
+    with Pretender(job.network.session(), ANN, answers=False).at_work():
+        job.service.run()
+    assert len(job.records["run-0"].rows) < LONG.evaluations
+
+
+def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
+    job = Job({"run-0": LONG, "run-1": LONG})
+    with job.serving(), job.network.session() as bus:
+        assert shown(bus).meta.epoch in (0, 1)
+        with Pretender(job.network.session(), ANN, answers=False).at_work() as worker:
+            assert worker.kept.wait(SOON)
+            view = shown(bus)
+            values = bus.ask_all(Keys(JOB).stat("worker/*"))
+    assert (view.meta.job, view.meta.epoch, view.meta.runs) == (JOB, 1, 2)
+    assert view.meta.budget == 2 * LONG.evaluations
+    assert [(one.wid, one.host, one.state) for one in view.workers] == [(ANN, "here", "working")]
+    assert {json.loads(value)["wid"] for value in values.values()} == {ANN}
+    assert {one.run for one in view.runs} <= {"run-0", "run-1"}

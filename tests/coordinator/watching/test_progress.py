@@ -1,0 +1,91 @@
+"""What is seen of a job's progress, on a terminal and elsewhere."""
+
+import io
+
+import pytest
+from msgspec.structs import replace
+from rich.console import Console
+
+from qdgrasp_coordinator.counts.figures import JobFigures
+from qdgrasp_coordinator.watching.progress import Bar, LiveBar, PlainLines
+
+EVIL = "\x1b[2J"
+FIGURES = JobFigures(
+    job="paper",
+    runs=1545,
+    runs_done=1233,
+    runs_failed=12,
+    runs_open=20,
+    evaluations=123_456_789,
+    budget=154_500_000,
+    simulated=100_000_000,
+    proposals=987_654_321,
+    overlaps=20_000_000,
+    dead_ends=3_456_789,
+    successes=12_345_678,
+    cells=1_234_567,
+    workers=256,
+    seconds=50_000.0,
+    rate=2400.0,
+)
+
+
+def seen(figures: JobFigures, width: int = 80) -> list[str]:
+    """The lines on a terminal."""
+    console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
+    bar = Bar(console)
+    LiveBar(bar, "paper", figures.budget).show(figures)
+    with console.capture() as captured:
+        console.print(*bar.get_renderables())
+    return [line.rstrip() for line in captured.get().splitlines()]
+
+
+def test_a_terminal_shows_a_bar_with_the_time_left_and_every_figure_below_it() -> None:
+    bar, *words = seen(FIGURES)
+    assert bar.startswith("paper ━")
+    assert bar.endswith("80 %  3:35:35 left")
+    assert " ".join(words).split() == FIGURES.words.split()
+
+
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_no_line_is_wider_than_the_terminal(width: int) -> None:
+    assert max(map(len, seen(FIGURES, width))) <= width
+
+
+def test_figures_name_failed_runs_only_where_there_are_some() -> None:
+    assert FIGURES.words.startswith("1233 of 1545 runs and 12 failed, 123456789 of 154500000 evaluations, ")
+    assert "failed" not in seen(replace(FIGURES, runs_failed=0))[1]
+
+
+def test_both_countings_are_shown() -> None:
+    words = "100000000 simulated of 987654321 proposals, 20000000 overlaps, 3456789 dead ends"
+    assert words in FIGURES.words
+
+
+def test_plain_lines_tell_of_trouble_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = PlainLines("paper")
+    lines.show(FIGURES)
+    lines.show(FIGURES)
+    lines.show(replace(FIGURES, trouble="no recorder answers"))
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2
+    assert "paused: no recorder answers" in said[1]
+
+
+def test_a_job_whose_recorder_is_still_on_its_way_is_starting(capsys: pytest.CaptureFixture[str]) -> None:
+    early = replace(FIGURES, state="starting", seconds=1.0)
+    lines = PlainLines("paper")
+    lines.show(early)
+    lines.show(replace(early, trouble="no recorder answers", seconds=2.0))
+    lines.show(replace(early, trouble="no recorder answers", seconds=60.0))
+    first, second = capsys.readouterr().err.splitlines()
+    assert ", starting, " in first
+    assert "paused: no recorder answers" in second
+
+
+def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = replace(FIGURES, trouble=EVIL)
+    PlainLines("paper").show(figures)
+    for said in (capsys.readouterr().err, "\n".join(seen(figures, 200))):
+        assert r"paused: \x1b[2J" in said
+        assert EVIL not in said

@@ -1,0 +1,126 @@
+"""What a death among a job's processes means."""
+
+import pytest
+from tests.coordinator.watching.test_overview import figures
+
+from qdgrasp_coordinator.watching.watch import KILLS, TRIES, Watch
+from qdgrasp_protocol.crew import Death
+from qdgrasp_protocol.errors import EndedEarly, InputError
+
+
+class Staff:
+    """A crew whose members die when they are told to, and a display."""
+
+    def __init__(self) -> None:
+        self.dead: list[Death] = []
+        self.words: dict[str, str] = {}
+        self.hired: list[float] = []
+        self.restarted: list[str] = []
+        self.said: list[str] = []
+        self.now = 0.0
+        self.watch = Watch(self, self, lambda: self.hired.append(self.now))  # type: ignore[arg-type]
+
+    def dies(self, name: str, code: int, words: str = "") -> None:
+        """A member dies, and whoever is due is started again."""
+        self.dead, self.words[name] = [Death(name, code)], words
+        self.watch.look(self.now)
+        self.dead = []
+
+    def waits(self, seconds: float) -> None:
+        self.now += seconds
+        self.watch.look(self.now)
+
+    def deaths(self) -> list[Death]:
+        return self.dead
+
+    def last_words(self, name: str) -> str:
+        return self.words[name]
+
+    def restart_later(self, name: str, now: float) -> float:
+        self.restarted.append(name)
+        return 0.5
+
+    def restart_due(self, now: float) -> None:
+        pass
+
+    def say(self, sentence: str) -> None:
+        self.said.append(sentence)
+
+
+@pytest.mark.parametrize("code", [-9, 1, 143])
+def test_a_coordinator_that_ended_without_a_word_is_started_again_after_a_while(code: int) -> None:
+    staff = Staff()
+    staff.dies("coordinator", code)
+    assert (staff.hired, staff.watch.is_done) == ([], False)
+    staff.waits(0.6)
+    staff.waits(60)
+    assert staff.hired == [0.6]
+    assert "it is started again in 0.5 s" in staff.said[0]
+
+
+def test_a_coordinator_that_is_done_ends_the_watch() -> None:
+    staff = Staff()
+    staff.dies("coordinator", 0)
+    assert staff.watch.is_done
+    staff.dies("worker-0", -9)
+    assert (staff.restarted, staff.hired) == ([], [])
+
+
+@pytest.mark.parametrize(("code", "error"), [(1, EndedEarly), (2, InputError)])
+def test_a_coordinator_that_ended_with_a_sentence_ends_the_job_with_it(code: int, error: type) -> None:
+    with pytest.raises(error, match=r"^Job 'mugs' was cancelled\.$"):
+        Staff().dies("coordinator", code, "Job 'mugs' was cancelled.")
+
+
+@pytest.mark.parametrize("name", ["coordinator", "recorder", "worker-1"])
+def test_who_dies_again_and_again_while_nothing_goes_on_ends_the_job(name: str) -> None:
+    staff = Staff()
+    for _ in range(TRIES):
+        staff.dies(name, -11)
+        staff.waits(20)
+    with pytest.raises(EndedEarly, match=f"The {name} died {TRIES + 1} times .* was killed by SIGSEGV"):
+        staff.dies(name, -11)
+
+
+def test_who_is_killed_from_outside_is_started_again_more_often() -> None:
+    staff = Staff()
+    for _ in range(KILLS):
+        staff.dies("coordinator", -9)
+        staff.waits(20)
+    with pytest.raises(EndedEarly, match=f"The coordinator died {KILLS + 1} times"):
+        staff.dies("coordinator", -9)
+
+
+def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
+    staff = Staff()
+    for n in range(10 * TRIES):
+        staff.watch.progressed(figures(evaluations=n, rate=1.0))
+        staff.dies("coordinator", -9)
+        staff.waits(20)
+    assert len(staff.hired) == 10 * TRIES
+
+
+def test_replaying_what_was_found_before_is_no_progress() -> None:
+    staff = Staff()
+    staff.watch.progressed(figures(evaluations=100))
+    for n in range(TRIES):
+        staff.watch.progressed(figures(evaluations=n))
+        staff.dies("coordinator", -11)
+        staff.waits(20)
+    with pytest.raises(EndedEarly):
+        staff.dies("coordinator", -11)
+
+
+def test_a_worker_that_ended_well_was_asked_to_leave_and_stays_away() -> None:
+    staff = Staff()
+    staff.dies("worker-0", 0)
+    assert (staff.restarted, staff.said) == ([], ["worker-0 has left"])
+
+
+def test_a_member_that_names_bad_input_ends_the_job_unless_the_coordinator_is_away() -> None:
+    staff = Staff()
+    with pytest.raises(InputError, match="Another platform"):
+        staff.dies("worker-0", 2, "Another platform.")
+    staff.dies("coordinator", -9)
+    staff.dies("worker-0", 2, "Nothing answers at tcp/127.0.0.1:1.")
+    assert staff.restarted == ["worker-0"]
