@@ -1,0 +1,1 @@
+"""Watching jobs without touching them: what is heard of them, on a terminal, a page and in metrics."""

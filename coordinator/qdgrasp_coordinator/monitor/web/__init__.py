@@ -1,0 +1,1 @@
+"""The page of `qdgrasp-monitor --web`, and the small server behind it."""
