@@ -2,6 +2,7 @@ import threading
 
 import pytest
 from tests.coordinator.recording.recorded import Coordinator
+from tests.coordinator.scenes import SceneMaker, made_scene
 
 from qdgrasp_coordinator.counts.stretch import Stretch
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
@@ -31,3 +32,9 @@ def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     monkeypatch.setattr(JournalWriter, "append", limited)
     monkeypatch.setattr("qdgrasp_coordinator.recording.room.RETRY_INTERVAL", 0.02)
     return room
+
+
+@pytest.fixture
+def make_scene() -> SceneMaker:
+    """A scene of the jaw, called what is asked for, and an object with these hulls in its mesh frame."""
+    return made_scene

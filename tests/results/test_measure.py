@@ -9,7 +9,7 @@ from tests.benchmarks.results.measure import harvest
 from tests.benchmarks.results.programme import Programme, Wanted
 from tests.benchmarks.results.row import Row
 from tests.benchmarks.results.store import Store
-from tests.coordinator.analysis.runs import SHAPE, random_rows
+from tests.coordinator.recorded_runs import SHAPE, random_rows
 from tests.results.make_rows import BEFORE, TODAY
 
 from qdgrasp_assets.catalog import build_scene

@@ -1,53 +1,17 @@
-"""Runs made by hand: what they found, in memory and in folders."""
+"""Runs made by hand, in memory: what they found."""
 
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from qdgrasp_assets.scene import Scene, pack_scene
 from qdgrasp_coordinator.analysis.diversity import Diversity
 from qdgrasp_coordinator.analysis.history import NU_BINS, History, Steps
 from qdgrasp_coordinator.analysis.target import Target
-from qdgrasp_coordinator.counts.stretch import Stretch
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.folders.journal_format import Identity
-from qdgrasp_coordinator.folders.journal_writer import JournalWriter
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_protocol.rows import Rows, Shape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
-SHAPE = Shape(genes=2, joints=2)
 NOTHING = Steps(np.zeros(0, np.int64), np.zeros(0, np.int64))
 UNIFORM = Diversity(niches=0, grasp_niches=0, robust_niches=0, orientations=None, synergies=None)
-
-
-def random_rows(n: int, seed: int = 0, reach: float = 0.1) -> Rows:
-    """Nominal rows of all outcomes around the object, in journal order, ten to a generation."""
-    random = np.random.default_rng(seed)
-    rows = SHAPE.empty(n)
-    rows["generation"], rows["index"] = np.divmod(np.arange(n), 10)
-    rows["outcome"] = random.integers(Outcome.OVERLAP, Outcome.HELD, n, endpoint=True)
-    rows["fitness"] = np.clip(rows["outcome"].astype(int) - Outcome.DROPPED, 0, 2)
-    rows["base_to_object"][:, :3] = random.uniform(-reach, reach, (n, 3))
-    rows["base_to_object"][:, 6] = 1
-    rows["descriptor"] = rows["base_to_object"][:, :3]
-    rows["nu"], rows["surface_point"] = random.uniform(0, np.pi, n), 0.01
-    return rows
-
-
-def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:
-    """A run's folder with these rows; `settings` are those of its spec."""
-    bundle = pack_scene(msgspec.structs.replace(scene, protocol=settings.get("protocol", "paper")))
-    spec = RunSpec(**{"gripper": "jaw", "object": "block.stl", "mass": 0.1, "population": 10} | settings)
-    folder = RunFolder.create(path, spec, bundle)
-    identity = Identity("run", to_toml(spec), bundle.digest, SHAPE)
-    with JournalWriter.create(path, identity) as journal:
-        journal.begin_turn(1, 0.0)
-        if len(rows):
-            journal.append(Stretch(0, rows, cpu_seconds=len(rows) / 100), 1, 1.0)
-    return folder
 
 
 def climb(*totals: int, every: int = 10) -> Steps:

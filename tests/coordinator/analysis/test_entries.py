@@ -1,8 +1,9 @@
 from pathlib import Path
 
 import pytest
-from tests.coordinator.analysis.conftest import SceneMaker
-from tests.coordinator.analysis.runs import climb, made, random_rows, record
+from tests.coordinator.analysis.runs import climb, made
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_coordinator.analysis.entries import entries, histories, run_folders, usual
 from qdgrasp_coordinator.analysis.target import Targets

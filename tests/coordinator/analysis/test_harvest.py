@@ -4,7 +4,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.analysis.conftest import SceneMaker
+from tests.coordinator.scenes import SceneMaker
 from typer.testing import CliRunner
 
 from qdgrasp_assets.scene import pack_scene

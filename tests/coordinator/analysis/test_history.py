@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.coordinator.analysis.conftest import SceneMaker
-from tests.coordinator.analysis.runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_coordinator.analysis.coverage import coverage
 from qdgrasp_coordinator.analysis.growth import growth

@@ -5,8 +5,8 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
-from tests.coordinator.analysis.conftest import SceneMaker
-from tests.coordinator.analysis.runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
 from typer.testing import CliRunner
 
 from qdgrasp_coordinator.analysis.harvest import build

@@ -3,8 +3,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.analysis.conftest import SceneMaker
-from tests.coordinator.analysis.runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.harvest import build

@@ -1,6 +1,6 @@
 """What several runs found together."""
 
-from tests.coordinator.analysis.runs import random_rows
+from tests.coordinator.recorded_runs import random_rows
 
 from qdgrasp_coordinator.campaigns.totals import NOTHING, Totals
 from qdgrasp_coordinator.counts.tally import Tally

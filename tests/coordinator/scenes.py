@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 import trimesh
 
 from qdgrasp_assets.scene import CarrierJoint, Joint, Scene, SceneGripper, SceneObject
@@ -43,38 +42,33 @@ def jaw(name: str) -> SceneGripper:
     )
 
 
-@pytest.fixture
-def make_scene() -> SceneMaker:
-    """A scene of the jaw, called what is asked for, and an object with these hulls in its mesh frame."""
-
-    def make(gripper: str = "jaw", hulls: bytes | None = None) -> Scene:
-        box = trimesh.creation.box((0.04, 0.05, 0.06))
-        body = SceneObject(
-            name="block",
-            source="tests",
-            licence="Apache-2.0",
-            collision_source="own parts",
-            mass=0.1,
-            lateral_friction=0.5,
-            rolling_friction=0.01,
-            spinning_friction=0.1,
-            com_in_mesh=(0.0, 0.0, 0.0),
-            collision=trimesh.exchange.obj.export_obj(box).encode() if hulls is None else hulls,
-            mesh_vertices=box.vertices.astype("<f4").tobytes(),
-            mesh_faces=box.faces.astype("<u4").tobytes(),
-        )
-        low, high = (tuple(corner) for corner in box.bounds.tolist())
-        empty = np.zeros((0, 3), "<f4").tobytes()
-        return Scene(
-            protocol="paper",
-            gripper=jaw(gripper),
-            object=body,
-            points=empty,
-            normals=empty,
-            finder_low=low,
-            finder_high=high,
-            object_low=low,
-            object_high=high,
-        )
-
-    return make
+def made_scene(gripper: str = "jaw", hulls: bytes | None = None) -> Scene:
+    """A scene of the jaw, called `gripper`, and a block with these hulls in its mesh frame."""
+    box = trimesh.creation.box((0.04, 0.05, 0.06))
+    body = SceneObject(
+        name="block",
+        source="tests",
+        licence="Apache-2.0",
+        collision_source="own parts",
+        mass=0.1,
+        lateral_friction=0.5,
+        rolling_friction=0.01,
+        spinning_friction=0.1,
+        com_in_mesh=(0.0, 0.0, 0.0),
+        collision=trimesh.exchange.obj.export_obj(box).encode() if hulls is None else hulls,
+        mesh_vertices=box.vertices.astype("<f4").tobytes(),
+        mesh_faces=box.faces.astype("<u4").tobytes(),
+    )
+    low, high = (tuple(corner) for corner in box.bounds.tolist())
+    empty = np.zeros((0, 3), "<f4").tobytes()
+    return Scene(
+        protocol="paper",
+        gripper=jaw(gripper),
+        object=body,
+        points=empty,
+        normals=empty,
+        finder_low=low,
+        finder_high=high,
+        object_low=low,
+        object_high=high,
+    )

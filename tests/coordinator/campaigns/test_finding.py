@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.coordinator.analysis.conftest import SceneMaker
-from tests.coordinator.analysis.runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_coordinator.campaigns import campaign_runs, finding
 from qdgrasp_coordinator.campaigns.campaign_runs import finished

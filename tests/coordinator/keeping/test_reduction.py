@@ -9,9 +9,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.analysis import runs as made
-from tests.coordinator.analysis.conftest import SceneMaker
-from tests.coordinator.analysis.runs import random_rows, record
+from tests.coordinator import recorded_runs
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.harvest import harvested
@@ -181,7 +181,7 @@ def test_the_order_in_which_runs_are_named_does_not_matter_nor_whether_they_were
 
 
 def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, scene, runs, monkeypatch) -> None:
-    monkeypatch.setattr(made, "SHAPE", Shape(genes=5, joints=2, descriptors=3))
+    monkeypatch.setattr(recorded_runs, "SHAPE", Shape(genes=5, joints=2, descriptors=3))
     wide = random_rows(N)
     wide["genome"] = 0.5
     other = record(tmp_path / "wide", scene, kept(wide), evaluations=N, overlaps="count", seed=9)
