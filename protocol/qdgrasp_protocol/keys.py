@@ -91,12 +91,36 @@ class Keys:
         """Liveliness of a recorder."""
         return f"{self.root}/live/recorder/{rid}"
 
-    def stat(self, what: str = "**") -> str:
-        """To monitors: `job`, `run/<run>` or `worker/<wid>`, JSON, about once a second.
+    @property
+    def entries(self) -> str:
+        """Monitors to recorder, query: which runs are in the folder, finished ones too; JSON."""
+        return f"{self.root}/rec/runs"
 
-        The coordinator answers queries on it, also with patterns, with how it is now.
+    @property
+    def finds(self) -> str:
+        """Monitors to recorder, query `?run=<run>&from=<number>`: successes of a run from a row on."""
+        return f"{self.root}/rec/finds"
+
+    def recorded_asset(self, digest: str = "*") -> str:
+        """Monitors to recorder, query per chunk: a scene bundle by its digest."""
+        return f"{self.root}/rec/asset/{digest}"
+
+    def stat(self, what: str = "**") -> str:
+        """To monitors: `job`, `run/<run>` or `team/<page>`, JSON, about once a second.
+
+        The coordinator answers queries on it, also with patterns, with how it is now; `curve/<run>` is
+        answered where it is asked for, and never sent. On `worker/<wid>` a worker shows its own progress.
         """
         return f"{self.root}/stat/{what}"
+
+    def event(self, kind: str = "*") -> str:
+        """To monitors: what happened, JSON, when it does."""
+        return f"{self.root}/event/{kind}"
+
+    @property
+    def recent(self) -> str:
+        """Monitors to coordinator, query: the latest events, JSON."""
+        return f"{self.root}/event/recent"
 
     @property
     def meta(self) -> str:

@@ -211,3 +211,17 @@ class Log(Message, frozen=True, kw_only=True):
     run: Name
     first: Count
     limit: RowCount
+
+
+class Finds(Message, frozen=True, kw_only=True):
+    """The answer to a query on `rec/finds`: successes of a run in journal order."""
+
+    run: Name
+    next: Count
+    """The journal number from which to ask on."""
+    rows: Count
+    """How many rows the journal has; with `next` there, these are all the successes so far."""
+    n: Annotated[int, Meta(ge=0, le=4096)]
+    joints: Width
+    columns: dict[str, bytes]
+    """All of `finds.COLUMNS`."""

@@ -7,8 +7,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, WorkerFigures, from_json, to_json
+from qdgrasp_coordinator.counts import finds as found
+from qdgrasp_coordinator.counts.curve import Curve
+from qdgrasp_coordinator.counts.entry import RunEntries
+from qdgrasp_coordinator.counts.events import Event, Events
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, from_json, to_json
 from qdgrasp_coordinator.counts.stretch import from_message
+from qdgrasp_coordinator.counts.team import TeamFigures
 from qdgrasp_coordinator.dispatching.batch import readable
 from qdgrasp_coordinator.recording.subject import Subject
 from qdgrasp_protocol import codec, messages
@@ -43,6 +48,11 @@ def recordable(payload: bytes) -> object:
     return from_message(codec.decode(payload, messages.Recordable), SHAPE)
 
 
+def finds(payload: bytes) -> object:
+    """The part of a monitor that draws."""
+    return found.from_message(codec.decode(payload, messages.Finds))
+
+
 def opening(payload: bytes) -> object:
     """A recorder's part; specs are TOML."""
     return [Subject.of(run) for run in codec.decode(payload, messages.Open).runs]
@@ -63,14 +73,15 @@ OWN: dict[type[Message], Consumer] = {
     messages.Result: result,
     messages.Recordable: recordable,
     messages.Open: opening,
+    messages.Finds: finds,
 }
 KINDS = [
     kind
     for kind in vars(messages).values()
     if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
 ]
-GIVEN = {msgspec.inspect.StrType: "x", msgspec.inspect.DateTimeType: datetime(2026, 1, 1, tzinfo=UTC)}
-SHOWN = (Figures, JobFigures, WorkerFigures, JobMeta)
+NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
+SHOWN = (Figures, JobFigures, TeamFigures, JobMeta, Event, Events, Curve, RunEntries)
 CONSUMERS: dict[str, Consumer] = {
     **{kind.__name__.lower(): OWN.get(kind, plain(kind)) for kind in KINDS},
     **{kind.__name__.lower(): shown(kind) for kind in SHOWN},
@@ -83,6 +94,7 @@ def seeds() -> dict[str, bytes]:
     rows = SHAPE.empty(ROWS)
     for column in COLUMNS:
         rows[column.name] = np.arange(rows[column.name].size).reshape(rows[column.name].shape) % 3
+    drawn = found.found(rows, np.arange(ROWS), SHAPE.joints)
     known = {
         messages.Work: {"columns": pack(rows, LEASED)},
         messages.Result: {
@@ -93,6 +105,7 @@ def seeds() -> dict[str, bytes]:
             "columns": pack(rows, COLUMNS),
             "failures": [messages.Failure(row=0, reason="x")],
         },
+        messages.Finds: {"columns": found.to_message(drawn, "run", 1, 1, SHAPE.joints).columns},
         messages.Open: {
             "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
         },
@@ -102,9 +115,21 @@ def seeds() -> dict[str, bytes]:
 
 
 def _shown(kind: Any) -> Any:
-    """Figures whose numbers are 1 and whose words are x."""
-    fields = msgspec.inspect.type_info(kind).fields
-    return kind(**{field.name: GIVEN.get(type(field.type), 1) for field in fields})
+    """What is shown, where numbers are 1, words are x, and there is one of whatever there may be many."""
+    return _value(msgspec.inspect.type_info(kind))
+
+
+def _value(kind: Any) -> Any:
+    match kind:
+        case msgspec.inspect.StructType(cls=cls, fields=fields):
+            return cls(**{field.name: _value(field.type) for field in fields})
+        case msgspec.inspect.ListType(item_type=item):
+            return [_value(item)]
+        case msgspec.inspect.DictType(value_type=value):
+            return {"x": _value(value)}
+        case msgspec.inspect.LiteralType(values=values):
+            return values[0]
+    return {msgspec.inspect.StrType: "x", msgspec.inspect.DateTimeType: NOON}.get(type(kind), 1)
 
 
 def _made(kind: type[Message], given: dict[str, Any]) -> Message:
@@ -115,6 +140,7 @@ def _made(kind: type[Message], given: dict[str, Any]) -> Message:
         "cpu_seconds": 0.5, "versions": [1], "number": 1, "credit": 2, "held": [BATCH], "host": "node7",
         "pid": 77, "platform": PLATFORM, "drop": [BATCH], "act": "drain", "words": "done", "total": 3,
         "data": b"chunk" * 20, "first": 10, "durable": 15, "job": "mugs", "limit": 100, "runs": [],
+        "next": 20, "rows": 20,
     }  # fmt: skip
     names = {field.name for field in msgspec.structs.fields(kind)}
     values = {name: value for name, value in (common | given).items() if name in names}

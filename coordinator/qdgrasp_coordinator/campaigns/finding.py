@@ -4,6 +4,7 @@
 """
 
 from contextlib import suppress
+from dataclasses import fields
 from importlib.metadata import version
 
 import msgspec
@@ -44,7 +45,8 @@ def write(folder: RunFolder, spec: RunSpec, found: Totals) -> None:
 
 
 def _mark(folder: RunFolder, spec: RunSpec) -> str:
-    """What the totals depend on: the rows, where they end, and how they are counted."""
+    """What the totals depend on: the rows, where they end, and what is counted how."""
     with folder.journal() as journal:
         ends = [str(getattr(spec, key)) for key in GOALS]
-        return " ".join([journal.mark, *ends, version("qdgrasp")])
+        counts = [field.name for field in fields(Totals)]
+        return " ".join([journal.mark, *ends, version("qdgrasp"), *counts])

@@ -17,6 +17,9 @@ class Totals:
     overlaps: int = 0
     dead_ends: int = 0
     successes: int = 0
+    grasps: int = 0
+    robust: int = 0
+    errors: int = 0
     cells: int = 0
     """Distinct 1 cm cells with a success, summed over runs."""
     trials: int = 0

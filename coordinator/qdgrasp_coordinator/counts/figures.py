@@ -7,6 +7,7 @@ from typing import Annotated, Protocol, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
+from qdgrasp_coordinator.counts.entry import RunEntry
 from qdgrasp_protocol.errors import MessageError
 
 PATIENCE = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
@@ -40,32 +41,11 @@ def screened_words(found: Screened) -> str:
     )
 
 
-class Figures(Struct, frozen=True, kw_only=True):
-    """How far a run is. Travels as JSON on `stat/run/<run>`."""
+class Figures(RunEntry, frozen=True, kw_only=True):
+    """How far a run in progress is. Travels as JSON on `stat/run/<run>`."""
 
-    run: str
-    evaluations: int
-    """Counted evaluations."""
-    budget: int
-    rows: int
-    """Journal rows: genomes and trials."""
-    simulated: int
-    """Genomes whose hand closed."""
-    proposals: int
-    """Poses that decoding screened, simulated or not."""
-    overlaps: int
-    dead_ends: int
-    successes: int
-    """A finger touches the object after closing."""
-    grasps: int
-    """Fitness 1 or more."""
-    robust: int
-    """Fitness 2."""
-    errors: int
-    cells: int
-    """Distinct 1 cm cells with a success."""
     workers: int
-    """Workers that have joined."""
+    """Workers of the job that are there, and make progress."""
     durable: int
     """Rows that the recorder reports to be on disk."""
     seconds: float
@@ -90,19 +70,35 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     evaluations: int
     """Counted evaluations of all runs."""
     budget: int
+    """Counted evaluations after which all runs are over."""
     simulated: int
     """Genomes whose hand closed."""
     proposals: int
     """Poses that decoding screened, simulated or not."""
     overlaps: int
+    """Genomes whose open hand overlapped the object; where a genome has candidates, all of them."""
     dead_ends: int
+    """Genomes for which there was no pose, or none worth a simulation."""
     successes: int
+    """A finger touches the object after closing."""
+    grasps: int
+    """Successes that survived a shake: fitness 1 or more."""
+    robust: int
+    """Successes that survived both shakes: fitness 2."""
+    errors: int
+    """Rows on which the simulator failed three times, trials included."""
     cells: int
     """Distinct 1 cm cells with a success, summed over the runs."""
     trials: int = 0
     """Trials of successes; 0 where no protocol has them."""
+    waiting: int = 0
+    """Settled rows that are not known to be on disk: how far the recorder is behind."""
+    requeued: int = 0
+    """Batches that were queued again, as their worker was lost, in this coordinator's turn."""
+    strays: int = 0
+    """Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."""
     workers: int
-    """Workers that have joined."""
+    """Workers that are there, and make progress."""
     seconds: float
     """Since the coordinator started."""
     rate: float
@@ -145,22 +141,6 @@ class JobFigures(Struct, frozen=True, kw_only=True):
         return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
 
 
-class WorkerFigures(Struct, frozen=True, kw_only=True):
-    """A worker of a job, as the coordinator sees it. JSON, the answer to a query on `stat/worker/<wid>`."""
-
-    wid: str
-    host: str
-    pid: int
-    state: str
-    """"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone"."""
-    batches: int
-    """That it holds."""
-    rows: int
-    """That it has settled."""
-    seconds: float
-    """Since it joined."""
-
-
 class JobMeta(Struct, frozen=True, kw_only=True):
     """What a job is and who carries it out. Travels as JSON on `meta` when a coordinator begins its turn."""
 
@@ -179,16 +159,16 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     """Counted evaluations of all runs."""
 
 
-AnyFigures = TypeVar("AnyFigures", Figures, JobFigures, WorkerFigures, JobMeta)
+Kind = TypeVar("Kind", bound=Struct)
 
 
-def to_json(figures: Figures | JobFigures | WorkerFigures | JobMeta) -> bytes:
-    """Figures as JSON, readable with any zenoh tool."""
-    return json.dumps(msgspec.to_builtins(figures)).encode()
+def to_json(shown: Struct) -> bytes:
+    """What is shown as JSON, readable with any zenoh tool."""
+    return json.dumps(msgspec.to_builtins(shown)).encode()
 
 
-def from_json(payload: bytes, kind: type[AnyFigures]) -> AnyFigures:
-    """The figures in a message.
+def from_json(payload: bytes, kind: type[Kind]) -> Kind:
+    """What is shown in a message.
 
     Raises
     ------

@@ -196,6 +196,11 @@ class Tally:
         return len(self._cells)
 
     @property
+    def outcomes(self) -> dict[str, int]:
+        """How often nominal rows ended in each way, by the name of the `Outcome` in lower case."""
+        return {outcome.name.lower(): self._outcomes[outcome] for outcome in Outcome}
+
+    @property
     def dead_ends(self) -> int:
         """Rows for which decoding found no pose."""
         return self._outcomes[Outcome.DEAD_END]

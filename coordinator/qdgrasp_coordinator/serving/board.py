@@ -11,7 +11,8 @@ from importlib.metadata import version
 
 import msgspec
 
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, WorkerFigures, to_json
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, to_json
+from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.serving.lanes import Lanes
 from qdgrasp_coordinator.serving.turn import Turn
 from qdgrasp_protocol.bus import Bus, Channel

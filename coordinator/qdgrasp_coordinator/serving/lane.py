@@ -3,12 +3,16 @@
 import time
 from collections.abc import Callable
 
+import msgspec
+
+from qdgrasp_coordinator.counts.entry import RunEntry
 from qdgrasp_coordinator.counts.figures import Figures
 from qdgrasp_coordinator.counts.tally import Tally
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.serving.record import Record
 from qdgrasp_protocol.errors import EndedEarly
 from qdgrasp_protocol.messages import Opened
+from qdgrasp_protocol.spec import from_toml
 
 
 class Lane:
@@ -20,6 +24,7 @@ class Lane:
         self.record = record
         self.replayed = 0
         """Counted evaluations that were in the journal when the run was opened."""
+        self._spec = from_toml(assignment.spec.decode(), f"the spec of run '{assignment.run}'")
         self._began = time.monotonic()
 
     def open(self, epoch: int, wait: Callable[[], None]) -> Opened:
@@ -65,24 +70,14 @@ class Lane:
 
     def figures(self, workers: int, now: float) -> Figures:
         """How far the run is; `workers` are those of the job."""
-        counts, seconds = self.tally, now - self._began
+        seconds = now - self._began
+        entry = RunEntry.of(self.run, self._spec, self.assignment.bundle.digest, self.tally)
+        counts = msgspec.structs.asdict(entry) | {"finished": self.pipeline.finished or ""}
         return Figures(
-            run=self.run,
-            evaluations=counts.evaluations,
-            budget=self.assignment.evaluations,
-            rows=counts.rows,
-            simulated=counts.simulated,
-            proposals=counts.proposals,
-            overlaps=counts.overlaps,
-            dead_ends=counts.dead_ends,
-            successes=counts.successes,
-            grasps=counts.grasps,
-            robust=counts.robust,
-            errors=counts.errors,
-            cells=counts.cells,
+            **counts,
             workers=workers,
             durable=self.record.durable,
             seconds=seconds,
-            rate=(counts.evaluations - self.replayed) / seconds if seconds > 0 else 0.0,
+            rate=(entry.evaluations - self.replayed) / seconds if seconds > 0 else 0.0,
             trouble=self.record.trouble,
         )

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import structlog
 
-from qdgrasp_coordinator.counts.figures import WorkerFigures
+from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.dispatching.batch import Settlement, readable
 from qdgrasp_coordinator.dispatching.dispatch import Dispatch
 from qdgrasp_coordinator.dispatching.member import Member
@@ -247,7 +247,11 @@ class Turn:
             state=member.state,
             batches=len(member.batches),
             rows=member.rows,
+            rate=0.0,
             seconds=now - member.since,
+            seen=now - member.progress,
+            memory=0,
+            restarts=0,
         )
 
     def withdraw(self, run: str) -> None:

@@ -7,7 +7,8 @@ from typing import TypeVar
 
 from msgspec import Struct
 
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, WorkerFigures, from_json
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, from_json
+from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of, matches

@@ -4,7 +4,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, WorkerFigures, to_json
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, to_json
+from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.watching.overview import views
 from qdgrasp_protocol.keys import Keys
 
@@ -18,8 +19,9 @@ def meta(job: str = "mugs", runs: int = 3) -> JobMeta:
 
 def figures(**more: object) -> JobFigures:
     counts = dict.fromkeys(
-        ("runs_done", "runs_failed", "simulated", "proposals", "overlaps", "dead_ends", "successes"), 0
-    )
+        ("runs_done", "runs_failed", "simulated", "proposals", "overlaps", "dead_ends", "successes",
+         "grasps", "robust", "errors"), 0
+    )  # fmt: skip
     values = {"job": "mugs", "runs": 3, "runs_open": 2, "evaluations": 1000, "budget": 3000, "cells": 5}
     return JobFigures(**(counts | values | {"workers": 9, "seconds": 10.0, "rate": 100.0} | more))
 
@@ -29,14 +31,17 @@ def run(name: str) -> Figures:
         ("rows", "simulated", "proposals", "overlaps", "dead_ends", "successes", "grasps", "robust"), 0
     )
     more = {"errors": 0, "cells": 0, "workers": 9, "durable": 0, "seconds": 1.0, "rate": 1.0}
-    return Figures(run=name, evaluations=10, budget=1000, **counts, **more)
+    what = {"gripper": "panda", "object": "mug", "method": "spare", "protocol": "paper", "seed": 0}
+    rest = {"scene": "ab" * 32, "trials": 0, "outcomes": {}}
+    return Figures(run=name, evaluations=10, budget=1000, **what, **rest, **counts, **more)
 
 
 def worker(number: int) -> WorkerFigures:
     state = "idle" if number % 2 else "working"
     return WorkerFigures(
-        wid=f"{number:032x}", host=f"n{number % 7}", pid=1, state=state, batches=0, rows=0, seconds=1.0
-    )
+        wid=f"{number:032x}", host=f"n{number % 7}", pid=1, state=state, batches=0, rows=0, rate=0.0,
+        seconds=1.0, seen=0.0, memory=0, restarts=0,
+    )  # fmt: skip
 
 
 def values(job: str = "mugs", runs: int = 3, workers: int = 9, **more: object) -> dict[str, bytes]:

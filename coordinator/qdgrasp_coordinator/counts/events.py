@@ -1,0 +1,34 @@
+"""Events: what happens to a job that a person wants to know."""
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+KEPT = 200
+"""So many events a coordinator remembers for those who come late."""
+
+EventKind = Literal["job", "run", "worker", "recorder", "trouble", "error"]
+"""What it is about; "trouble" keeps a job from going on, "error" is a row that is given up, or a run."""
+
+
+class Event(Struct, frozen=True, kw_only=True):
+    """Something that happened. Travels as JSON on `event/<kind>`."""
+
+    number: int
+    """Counts the events of one coordinator process, from 1."""
+    at: Annotated[datetime, Meta(tz=True)]
+    """When."""
+    kind: EventKind
+    words: str
+    """What, in a sentence for a person."""
+    run: str = ""
+    """Which run it is about; empty: none."""
+    worker: str = ""
+    """Which worker (its `wid`) it is about; empty: none."""
+
+
+class Events(Struct, frozen=True, kw_only=True):
+    """The latest events, eldest first, at most `KEPT`. JSON, the answer to a query on `event/recent`."""
+
+    events: list[Event]
