@@ -22,6 +22,7 @@
     * MessageError           a message that is not of the protocol; counted and dropped
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
+        * Cancelled              somebody told the coordinator to end: its exit code is 0
         * TookOver               another coordinator goes on with it: exit code 3
 """
 
@@ -224,6 +225,24 @@ class RecorderFellBack(QdgraspError):
 
 class EndedEarly(QdgraspError):
     """The job stopped before its budget; `qdgrasp resume` goes on."""
+
+
+class Cancelled(EndedEarly):
+    """Whoever administers the job told its coordinator to end, which it does as asked.
+
+    To the coordinator this is no failure, and nobody is to start it again. To whoever waits for the job, such as
+    `qdgrasp run`, it is an `EndedEarly` like any other.
+
+    Parameters
+    ----------
+    job
+        Its name.
+    """
+
+    exit_code = 0
+
+    def __init__(self, job: str) -> None:
+        super().__init__(f"Job '{job}' was cancelled.")
 
 
 class TookOver(EndedEarly):

@@ -12,6 +12,7 @@ Connect = Annotated[
         "default: port 7447 on loopback."
     ),
 ]
+Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")]
 Security = Annotated[
     Path | None,
     typer.Option(

@@ -131,6 +131,11 @@ def test_coordinator_and_recorder_are_of_one_job() -> None:
     assert len(jobs) == 1
 
 
+def test_a_coordinator_of_an_impossible_job_is_not_started_for_ever() -> None:
+    kind, _, most = compose()["services"]["coordinator"]["restart"].partition(":")
+    assert (kind, int(most) > 0) == ("on-failure", True)
+
+
 def test_workers_are_waited_for_longer_than_their_grace() -> None:
     worker = compose()["services"]["worker"]
     grace = understood(["qdgrasp-worker", *worker["command"]])["grace"]

@@ -1,10 +1,13 @@
 import re
 import shutil
 import subprocess
+from math import inf
 from pathlib import Path
 
 import pytest
 from tests.deploy.commands import DEPLOY, filled, understood
+
+from qdgrasp_protocol.errors import Cancelled, InputError, TookOver
 
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
 BIN = "/opt/qdgrasp/bin"
@@ -67,6 +70,16 @@ def test_the_folder_of_a_job_can_appear_within_what_its_recorder_may_write() -> 
     unit = DEPLOY / "systemd" / "qdgrasp-recorder@.service"
     (state,) = read(unit)["StateDirectory"]
     assert understood(command(unit))["out"].parent == Path("/var/lib") / state
+
+
+def test_a_coordinator_is_started_again_unless_it_ended_for_good() -> None:
+    unit = DEPLOY / "systemd" / "qdgrasp-coordinator@.service"
+    settings = read(unit)
+    assert settings["Restart"] == ["on-failure"]
+    assert Cancelled.exit_code == 0
+    (codes,) = settings["RestartPreventExitStatus"]
+    assert {*map(int, codes.split())} == {InputError.exit_code, TookOver.exit_code}
+    assert understood(command(unit))["wait"] == inf  # a router that is away at the start is no bad input
 
 
 def test_a_worker_is_waited_for_longer_than_its_grace() -> None:

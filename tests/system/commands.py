@@ -94,6 +94,13 @@ def wait_for(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.02)  # between two looks; nothing depends on how long it is
 
 
+def says(process: subprocess.Popen[str], words: str) -> None:
+    """Wait for a line on standard error."""
+    assert process.stderr is not None
+    while words not in (line := process.stderr.readline()):
+        assert line, f"it ended without saying {words!r}"
+
+
 def rows_recorded(folder: Path) -> int:
     """How many rows are on disk; 0 while there is no journal."""
     if not (folder / "run.sqlite").exists():

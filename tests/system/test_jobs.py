@@ -1,7 +1,7 @@
 """What is seen of a job, and done to it, while it goes on."""
 
 from tests.endpoints import own_endpoint
-from tests.system.commands import LONG, SMALL, Commands, kill, rows_recorded, wait_for
+from tests.system.commands import LONG, SMALL, Commands, kill, rows_recorded, says, wait_for
 from tests.system.test_bad_input import sentence
 from tests.system.test_faults import pids
 
@@ -63,6 +63,17 @@ def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long
     done = qdgrasp("resume", "run", "--workers", 2)
     assert done.code == 0, done.err
     assert qdgrasp.digest("run") == long_digest
+
+
+def test_a_coordinator_that_is_cancelled_ends_as_it_was_asked_to(qdgrasp):
+    (qdgrasp.home / "mugs.toml").write_text('gripper = "panda"\nobject = "tennis_ball"\n')
+    endpoint = own_endpoint()
+    process = qdgrasp.start("mugs.toml", "--listen", endpoint, module="qdgrasp_coordinator.cli.coordinator")
+    says(process, "listening")
+    wait_for(lambda: qdgrasp("cancel", "mugs", "--connect", endpoint).code == 0, "somebody to cancel it")
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert err.endswith("qdgrasp-coordinator: Job 'mugs' was cancelled.\n")
 
 
 def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):

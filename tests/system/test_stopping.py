@@ -11,7 +11,16 @@ from pathlib import Path
 import pytest
 import trimesh
 from tests.endpoints import own_endpoint
-from tests.system.commands import PATIENCE, SMALL, Commands, is_alive, processes_of, rows_recorded, wait_for
+from tests.system.commands import (
+    PATIENCE,
+    SMALL,
+    Commands,
+    is_alive,
+    processes_of,
+    rows_recorded,
+    says,
+    wait_for,
+)
 from tests.system.test_faults import pids
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
@@ -23,13 +32,6 @@ PROMISED = 2.0
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 LONG = (*SMALL, "--evaluations", 100_000)
 Beginning = Callable[[Commands], subprocess.Popen[str]]
-
-
-def says(process: subprocess.Popen[str], words: str) -> None:
-    """Wait for a line on standard error."""
-    assert process.stderr is not None
-    while words not in (line := process.stderr.readline()):
-        assert line, f"it ended without saying {words!r}"
 
 
 def working(qdgrasp: Commands) -> subprocess.Popen[str]:

@@ -30,7 +30,7 @@ def worker(
     job: Annotated[str | None, typer.Option(help="Serve this job only; default: every job there is.")] = None,
     workers: Annotated[int, typer.Option(min=1, help="How many workers, on one core each.")] = 1,
     cache: Annotated[Path | None, typer.Option(help="Where scenes are kept between runs.")] = None,
-    wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
+    wait: flags.Wait = 30.0,
     grace: Annotated[
         float, typer.Option(min=0, help="Seconds that the batch in work may still take after SIGTERM.")
     ] = 1.5,

@@ -38,6 +38,9 @@ def continue_(job: Job, connect: flags.Connect = None, security: flags.Security 
 def cancel(job: Job, connect: flags.Connect = None, security: flags.Security = None) -> None:
     """End a job before it is done: what is recorded stays, and can be gone on with.
 
+    Its coordinator ends with exit code 0. A `qdgrasp run` or `campaign` that started it ends with 1, because
+    the job is not done, and names the command that goes on.
+
     Example: qdgrasp cancel mugs
     """
     order(job, place(connect, security), security, Order(act="cancel"))

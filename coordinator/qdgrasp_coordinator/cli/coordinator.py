@@ -47,11 +47,15 @@ def coordinator(
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's or file's.")] = None,
     batch_size: options.BatchSize = None,
     seconds: options.Seconds = None,
+    wait: flags.Wait = 30.0,
     paused: Annotated[
         bool, typer.Option("--paused", help="Hand out no work until `qdgrasp continue`.")
     ] = False,
 ) -> None:
     """Run the searches of a job: ask, dispatch to workers, settle, tell; a recorder keeps what is found.
+
+    Exit codes: 0 done, cancelled, or --seconds are over; 2 bad input, or nothing to connect to; 3 another
+    coordinator goes on with the job; 143 SIGTERM. Start it again after any other one.
 
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
     """
@@ -60,7 +64,7 @@ def coordinator(
     name = job or (folder.name if folder else job_name(what.stem))
     with lifetime("qdgrasp-coordinator") as stop, ExitStack() as stack:
         speak("coordinator")
-        bus, endpoint = _session(listen, connect, security, stop, insecure=insecure)
+        bus, endpoint = _session(listen, connect, security, wait, stop, insecure=insecure)
         stack.enter_context(bus)
         log.info("connected" if connect else "listening", endpoint=endpoint, job=name)
         if stop.is_set:  # whoever started this process may be gone, and another one be there for the folder
@@ -95,12 +99,12 @@ def programme_of(what: Path, folder: JobFolder | None) -> Programme:
 
 
 def _session(
-    listen: str | None, connect: str | None, security: Path | None, stop: Stop, *, insecure: bool
+    listen: str | None, connect: str | None, security: Path | None, wait: float, stop: Stop, *, insecure: bool
 ) -> tuple[ZenohBus, str]:
     """A session at a router that runs already, or one that is the router itself, and where that is."""
     if connect:
         credentials = Credentials.find(security, Role.COORDINATOR)
-        return ZenohBus.connect(connect, 30.0, stop, credentials), connect
+        return ZenohBus.connect(connect, wait, stop, credentials), connect
     return ZenohBus.embedded(listen, Credentials.find(security, Role.ROUTER), insecure=insecure)
 
 

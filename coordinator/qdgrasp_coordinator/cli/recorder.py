@@ -27,7 +27,7 @@ def recorder(
     connect: flags.Connect = None,
     security: flags.Security = None,
     disk_wait: options.DiskWait = 60.0,
-    wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for the router at the start.")] = 30.0,
+    wait: flags.Wait = 30.0,
 ) -> None:
     """Write what a job finds to its folder, and tell its coordinator what is safe on the disk.
 

@@ -5,6 +5,8 @@ Time is passed in, in seconds of any steady clock.
 
 from math import inf
 
+from qdgrasp_protocol.errors import EndedEarly
+
 LEAST = 0.2
 """Seconds that it takes at least: whoever asked for it is to hear the answer."""
 MOST = 5.0
@@ -20,16 +22,16 @@ class Ending:
         After so long it does by itself; None: never.
     """
 
-    words: str = ""
-    """Why somebody ended it; empty where nobody did."""
+    reason: EndedEarly | None = None
+    """Why somebody ended it; None where nobody did."""
 
     def __init__(self, seconds: float | None, now: float) -> None:
         self._due_at = inf if seconds is None else now + seconds
         self._began: float | None = None
 
-    def begin(self, now: float, words: str = "") -> None:
+    def begin(self, now: float, reason: EndedEarly | None = None) -> None:
         """Note that nothing is asked or handed out any more."""
-        self._began, self.words = now, words
+        self._began, self.reason = now, reason
 
     def is_due(self, now: float) -> bool:
         """Whether it is to begin by itself."""

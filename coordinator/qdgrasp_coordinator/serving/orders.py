@@ -6,9 +6,9 @@ coordinator ends. Whatever is recorded stays.
 
 from collections.abc import Callable
 
-from qdgrasp_coordinator.counts.team import WorkerFigures
+from qdgrasp_coordinator.counts.figures import WorkerFigures
 from qdgrasp_coordinator.serving.turn import Turn
-from qdgrasp_protocol.errors import Refused
+from qdgrasp_protocol.errors import Cancelled, EndedEarly, Refused
 from qdgrasp_protocol.messages import Order
 
 SHOWN = 8
@@ -27,10 +27,10 @@ class Orders:
     turn
         The coordinator's turn as it is now.
     end
-        Has the coordinator end, for a reason in words.
+        Has the coordinator end, for a reason.
     """
 
-    def __init__(self, job: str, turn: Callable[[], Turn], end: Callable[[str], None]) -> None:
+    def __init__(self, job: str, turn: Callable[[], Turn], end: Callable[[EndedEarly], None]) -> None:
         self._job = job
         self._turn = turn
         self._end = end
@@ -63,7 +63,7 @@ class Orders:
         return f"Job '{self._job}' goes on."
 
     def _cancel(self, _order: Order, _now: float) -> str:
-        self._end(f"Job '{self._job}' was cancelled.")
+        self._end(Cancelled(self._job))
         return (
             f"Job '{self._job}' ends. What is recorded stays: `qdgrasp resume DIR` (or `campaign`) goes on."
         )

@@ -104,8 +104,8 @@ class CoordinatorService:
         ------
         TookOver
             Another coordinator goes on with the job.
-        EndedEarly
-            The job was cancelled.
+        Cancelled
+            Somebody wanted the job to end.
         RunsFailed
             Runs could not be carried out: a scene that cannot be built, a recorder that holds another run, a
             journal that is not what its spec replays to. The others are.
@@ -117,13 +117,13 @@ class CoordinatorService:
                 self._step()
                 look(time.monotonic())
             self._board.publish(time.monotonic())
-        reason = "asked to stop" if self._stop.is_set else self._ending.words or "done"
+        reason = "asked to stop" if self._stop.is_set else self._ending.reason or "done"
         dropped = self._turn.drops.count
-        log.info("ended", reason=reason, dropped=dropped, **self._turn.dispatch.counters)
+        log.info("ended", reason=str(reason), dropped=dropped, **self._turn.dispatch.counters)
         if self._stop.is_set:
             return
-        if self._ending.words and not self._lanes.are_done:
-            raise EndedEarly(self._ending.words)
+        if self._ending.reason and not self._lanes.are_done:
+            raise self._ending.reason
         self._lanes.check()
 
     def figures(self, now: float) -> JobFigures:
@@ -186,10 +186,10 @@ class CoordinatorService:
         log.info("obeyed", order=order.act, words=words)
         answer.set_result(words)
 
-    def _end_early(self, words: str = "") -> None:
+    def _end_early(self, reason: EndedEarly | None = None) -> None:
         """Begin nothing any more, and wait a little until what was found is recorded."""
         self._turn.end()
-        self._ending.begin(time.monotonic(), words)
+        self._ending.begin(time.monotonic(), reason)
 
     @property
     def _has_ended(self) -> bool:

@@ -40,7 +40,7 @@ class Watch:
         self._deaths: Counter[str] = Counter()
         self._most = -1
         self.is_done = False
-        """The coordinator ended with its job complete, or as it was asked to."""
+        """The coordinator ended with its job complete, or after the seconds that it was given."""
 
     def progressed(self, figures: JobFigures) -> None:
         """Hear how far the job is: whoever died before it got further may die as often again."""
@@ -56,7 +56,7 @@ class Watch:
         InputError
             A process ended with a sentence that names bad input or environment.
         EndedEarly
-            The coordinator decided to end, or a process dies again and again.
+            The coordinator decided to end, or was told to, or a process dies again and again.
         """
         for death in self._crew.deaths():
             if death.name == COORDINATOR:
@@ -70,13 +70,13 @@ class Watch:
 
     def _coordinator_died(self, death: Death, now: float) -> None:
         words = self._crew.last_words(death.name)
-        if death.exit_code == 0:
-            self.is_done = True
-            return
         if death.exit_code == InputError.exit_code:
             raise InputError(words)
         if words:
             raise EndedEarly(words)
+        if death.exit_code == 0:
+            self.is_done = True
+            return
         self._count(death)
         pause = back_off(self._deaths[death.name] - 1)
         self._hire_at = now + pause

@@ -5,6 +5,7 @@ from math import inf
 import pytest
 
 from qdgrasp_coordinator.serving.ending import LEAST, MOST, Ending
+from qdgrasp_protocol.errors import Cancelled
 
 
 def test_a_job_ends_by_itself_when_its_time_is_over_and_not_before() -> None:
@@ -22,8 +23,8 @@ def test_a_job_without_a_limit_never_does() -> None:
 @pytest.mark.parametrize(("is_safe", "patience"), [(True, LEAST), (False, MOST)])
 def test_an_ending_waits_for_the_recorder_but_not_for_ever(is_safe: bool, patience: float) -> None:
     ending = Ending(10.0, now=0.0)
-    ending.begin(5.0, "cancelled")
-    assert ending.words == "cancelled"
+    ending.begin(5.0, cancelled := Cancelled("mugs"))
+    assert ending.reason is cancelled
     assert not ending.is_due(11.0)
     assert ending.deadline == inf
     assert not ending.is_over(4.99 + patience, is_safe=is_safe)

@@ -10,7 +10,7 @@ from tests.coordinator.serving.served import JOB, PLANS, SOON, Job, Pretender, S
 from qdgrasp_coordinator.watching.overview import JobView, overview
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import EndedEarly, Refused
+from qdgrasp_protocol.errors import Cancelled, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Done, Order
 
@@ -67,8 +67,8 @@ def test_a_cancelled_job_ends_with_what_it_has_and_takes_back_what_is_out() -> N
         assert "ends" in tell(bus, "cancel")
         service.join(SOON)
         assert not service.is_alive()
-    assert isinstance(job.error, EndedEarly)
-    assert str(job.error) == f"Job '{JOB}' was cancelled."
+    assert isinstance(job.error, Cancelled)
+    assert (str(job.error), job.error.exit_code) == (f"Job '{JOB}' was cancelled.", 0)
     assert worker.controls[-1].drop
 
 
@@ -85,7 +85,7 @@ def test_a_cancelled_job_waits_for_what_is_found_to_be_safe() -> None:
         assert isinstance(record, Slow)
         record.is_safe = True
         service.join(SOON)
-    assert isinstance(job.error, EndedEarly)
+    assert isinstance(job.error, Cancelled)
 
 
 def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:

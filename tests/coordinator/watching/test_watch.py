@@ -66,10 +66,13 @@ def test_a_coordinator_that_is_done_ends_the_watch() -> None:
     assert (staff.restarted, staff.hired) == ([], [])
 
 
-@pytest.mark.parametrize(("code", "error"), [(1, EndedEarly), (2, InputError)])
+@pytest.mark.parametrize(
+    ("code", "error"), [(0, EndedEarly), (1, EndedEarly), (2, InputError), (3, EndedEarly)]
+)
 def test_a_coordinator_that_ended_with_a_sentence_ends_the_job_with_it(code: int, error: type) -> None:
-    with pytest.raises(error, match=r"^Job 'mugs' was cancelled\.$"):
+    with pytest.raises(error, match=r"^Job 'mugs' was cancelled\.$") as raised:
         Staff().dies("coordinator", code, "Job 'mugs' was cancelled.")
+    assert raised.value.exit_code > 0  # the job is not done
 
 
 @pytest.mark.parametrize("name", ["coordinator", "recorder", "worker-1"])
