@@ -6,7 +6,7 @@ coordinator ends. Whatever is recorded stays.
 
 from collections.abc import Callable
 
-from qdgrasp_coordinator.counts.figures import WorkerFigures
+from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.serving.turn import Turn
 from qdgrasp_protocol.errors import Cancelled, EndedEarly, Refused
 from qdgrasp_protocol.messages import Order
