@@ -66,8 +66,10 @@ class Single:
 
     def next(self) -> Assignment | None:
         """The run, whenever it is due."""
-        is_due, self._is_due = self._is_due, False
-        return self._make() if is_due else None
+        if not self._is_due:
+            return None  # and nothing is written: it may be put back meanwhile
+        self._is_due = False
+        return self._make()
 
     def put_back(self, run: str) -> None:
         """Have it made again."""

@@ -44,6 +44,7 @@ class Lanes:
         self._opener = Opener(programme, make_record, tell, stop)
         self._is_opening = False
         self._all_opened = False
+        self._was_put_back = False  # since the opener began
         self._open: dict[str, Lane] = {}
         self._failures: list[RunFailed] = []
         self._scenes: dict[str, Bundle] = {}
@@ -92,7 +93,7 @@ class Lanes:
         """
         is_due = is_wanted or not self._open
         if is_due and not self._is_opening and not self._all_opened and len(self._open) < MOST_LANES:
-            self._is_opening = True
+            self._is_opening, self._was_put_back = True, False
             self._opener.begin(epoch)
 
     def begin(self, lane: Lane) -> None:
@@ -108,9 +109,9 @@ class Lanes:
         self._failures.append(failure)
 
     def none_left(self) -> None:
-        """Hear that all runs have been opened."""
+        """Hear that there was no run to open; one that was put back meanwhile still is."""
         self._is_opening = False
-        self._all_opened = True
+        self._all_opened = not self._was_put_back
 
     def end(self, lane: Lane) -> None:
         """Let go of a run that is done."""
@@ -123,7 +124,7 @@ class Lanes:
         del self._open[lane.run]
         self._replayed -= lane.replayed
         self._programme.put_back(lane.run)
-        self._all_opened = False
+        self._was_put_back, self._all_opened = True, False
 
     def close(self) -> None:
         """Stop opening."""

@@ -38,7 +38,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class NoneLeft:
-    """All runs have been opened."""
+    """There was no run to open."""
 
 
 News = Begun | Failed | NoneLeft
