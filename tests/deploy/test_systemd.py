@@ -10,6 +10,7 @@ from tests.deploy.commands import DEPLOY, filled, understood
 from qdgrasp_protocol.errors import Cancelled, InputError, TookOver
 
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
+SETTINGS = DEPLOY / "systemd" / "qdgrasp.env"
 BIN = "/opt/qdgrasp/bin"
 INSTANCE = {"qdgrasp-worker@": "3", "qdgrasp-coordinator@": "mugs", "qdgrasp-recorder@": "mugs"}
 ANALYSE = shutil.which("systemd-analyze") or ""
@@ -34,11 +35,12 @@ def environment(settings: Settings) -> dict[str, str]:
     return dict(pair.split("=", 1) for pair in pairs)
 
 
-def command(unit: Path) -> list[str]:
+def command(unit: Path, **told: str) -> list[str]:
     settings = read(unit)
     (line,) = settings["ExecStart"]
     line = line.replace("%i", INSTANCE.get(unit.stem, "")).replace("%d", "/run/credentials")
-    return filled(re.sub(r"%[CS]", "/var/lib", line), environment(settings))
+    line = re.sub(r"\$(\w+)", lambda name: told.get(name[1], ""), line)  # without braces: any number of words
+    return filled(re.sub(r"%[CS]", "/var/lib", line), environment(settings) | told)
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
@@ -72,6 +74,14 @@ def test_the_folder_of_a_job_can_appear_within_what_its_recorder_may_write() -> 
     assert understood(command(unit))["out"].parent == Path("/var/lib") / state
 
 
+def test_a_router_relays_with_the_other_one_where_it_is_told_so() -> None:
+    unit = DEPLOY / "systemd" / "qdgrasp-router.service"
+    (line,) = re.findall(r"^#(QDGRASP_ROUTER_FLAGS=.*)$", SETTINGS.read_text(), re.M)
+    name, _, flags = line.partition("=")
+    assert understood(command(unit))["connect"] is None
+    assert understood(command(unit, **{name: flags}))["connect"] == "tls/head2:7447"
+
+
 def test_a_coordinator_is_started_again_unless_it_ended_for_good() -> None:
     unit = DEPLOY / "systemd" / "qdgrasp-coordinator@.service"
     settings = read(unit)
@@ -86,9 +96,7 @@ def test_a_worker_is_waited_for_longer_than_its_grace() -> None:
     unit = DEPLOY / "systemd" / "qdgrasp-worker@.service"
     settings = read(unit)
     told = dict(
-        line.split("=", 1)
-        for line in (DEPLOY / "systemd" / "qdgrasp.env").read_text().splitlines()
-        if line and not line.startswith("#")
+        line.split("=", 1) for line in SETTINGS.read_text().splitlines() if line and not line.startswith("#")
     )
     (patience,) = map(float, settings["TimeoutStopSec"])
     assert understood(command(unit))["grace"] + PAUSE <= patience
@@ -102,8 +110,8 @@ def test_a_worker_is_ended_by_its_unit_only_above_what_it_ends_itself() -> None:
 
 
 def test_every_variable_of_the_environment_file_is_used() -> None:
-    named = set(re.findall(r"^#?(QDGRASP_\w+)=", (DEPLOY / "systemd" / "qdgrasp.env").read_text(), re.M))
-    used = {name for unit in UNITS for name in re.findall(r"\$\{(\w+)\}", unit.read_text())}
+    named = set(re.findall(r"^#?(QDGRASP_\w+)=", SETTINGS.read_text(), re.M))
+    used = {name for unit in UNITS for name in re.findall(r"\$\{?(\w+)", unit.read_text())}
     assert named - used == {"QDGRASP_ASSET_PATH"}  # which the program reads itself
     assert used <= named
 
