@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import Enum
-from typing import Self
+from typing import Any, Self
 
 import structlog
 
@@ -61,7 +61,7 @@ TokenHandler = Callable[[str, bool], None]
 """Told a key and whether its token is alive (True) or gone (False)."""
 
 
-class Declaration(AbstractContextManager[None]):
+class Declaration(AbstractContextManager[Any]):
     """Something a session declared: it holds from the call that made it until its context ends.
 
     Parameters
@@ -79,6 +79,20 @@ class Declaration(AbstractContextManager[None]):
         if self.holds:
             self.holds = False
             self.undo()
+
+
+class Ring(Declaration, ABC):
+    """What was heard lately and is not taken yet: so many messages at most, the newest.
+
+    Nobody waits for whoever reads it: where it is full, the eldest message gives way to the next.
+    """
+
+    def __enter__(self) -> Self:
+        return self
+
+    @abstractmethod
+    def take(self) -> list[Sample]:
+        """Take all that is there, eldest first, without waiting; nothing once the context has ended."""
 
 
 def failure(error: Exception, key: str) -> BusError:
@@ -104,6 +118,14 @@ class Bus(ABC):
     @abstractmethod
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
         """Hear every message whose key matches `pattern` until the context ends."""
+
+    @abstractmethod
+    def ring(self, pattern: str, capacity: int) -> Ring:
+        """Keep the latest `capacity` messages whose key matches `pattern` until the context ends.
+
+        For whoever only watches: no code of ours runs when a message comes, and a reader that stops reading
+        holds nobody up.
+        """
 
     @abstractmethod
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:

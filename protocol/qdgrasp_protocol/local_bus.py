@@ -6,6 +6,7 @@ so that its time-out holds.
 """
 
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
@@ -19,6 +20,7 @@ from qdgrasp_protocol.bus import (
     Declaration,
     Query,
     QueryHandler,
+    Ring,
     Sample,
     SampleHandler,
     TokenHandler,
@@ -52,6 +54,21 @@ class Subscriber(Entry):
     def __init__(self, session: "LocalBus", pattern: str, handler: SampleHandler) -> None:
         super().__init__(session, pattern)
         self.handler = handler
+
+
+class LocalRing(Ring):
+    """A subscriber's latest messages."""
+
+    def __init__(self, capacity: int) -> None:
+        super().__init__()
+        self.heard: deque[Sample] = deque(maxlen=capacity)
+
+    def take(self) -> list[Sample]:
+        """Take what is there."""
+        taken = []
+        while self.holds and self.heard:
+            taken.append(self.heard.popleft())
+        return taken
 
 
 class Answerer(Entry):
@@ -159,6 +176,12 @@ class LocalBus(Bus):
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
         """Hear messages."""
         return self._declare(Subscriber(self, pattern, handler))
+
+    def ring(self, pattern: str, capacity: int) -> Ring:
+        """Keep messages."""
+        ring = LocalRing(capacity)
+        ring.undo = self._declare(Subscriber(self, pattern, ring.heard.append)).undo
+        return ring
 
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries, one at a time."""

@@ -16,6 +16,7 @@ from qdgrasp_protocol.bus import (
     Declaration,
     Query,
     QueryHandler,
+    Ring,
     Sample,
     SampleHandler,
     TokenHandler,
@@ -189,9 +190,21 @@ class ZenohBus(Bus):
         """Hear messages."""
 
         def heard(sample: zenoh.Sample) -> None:
-            handler(Sample(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
+            handler(_sample(sample))
 
         return self._declare(heard, lambda call: self._session.declare_subscriber(pattern, call))
+
+    def ring(self, pattern: str, capacity: int) -> Ring:
+        """Keep messages in a ring of zenoh's own."""
+        ring = ZenohRing()
+        channel: Any = zenoh.handlers.RingChannel(capacity)
+
+        def declare() -> Any:
+            ring.subscriber = self._session.declare_subscriber(pattern, channel)
+            return ring.subscriber
+
+        self._hold(ring, declare)
+        return ring
 
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries; a query that was let go unanswered ends its asker's waiting."""
@@ -299,6 +312,24 @@ class ZenohBus(Bus):
             return act()
         except zenoh.ZError as error:
             raise BusError(f"The bus refuses: {error}.") from None
+
+
+class ZenohRing(Ring):
+    """A ring channel of zenoh, filled by its threads."""
+
+    subscriber: Any
+
+    def take(self) -> list[Sample]:
+        """Take what is there."""
+        taken = []
+        with suppress(zenoh.ZError):  # the session was closed
+            while self.holds and (sample := self.subscriber.try_recv()) is not None:
+                taken.append(_sample(sample))
+        return taken
+
+
+def _sample(sample: zenoh.Sample) -> Sample:
+    return Sample(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
 
 def _config(chosen: Settings, config: zenoh.Config) -> zenoh.Config:

@@ -144,6 +144,26 @@ class TestBus:
             assert [ear.next(), ear.next()] == [b"1", b"2"]
         assert logs[0]["event"] == "a callback failed"
 
+    def test_a_ring_keeps_the_newest_messages_in_their_order(self, near: Bus, far: Bus) -> None:
+        ear = Ear()
+        with far.ring("test/a", 3) as ring, far.subscribe("test/end", ear):
+            connected(near, far)
+            assert ring.take() == []
+            for number in range(10):
+                near.put("test/a", bytes([number]), encoding=TEXT)
+            near.put("test/end", b"", encoding=TEXT)
+            ear.next()
+            assert ring.take() == [Sample("test/a", bytes([number]), TEXT) for number in (7, 8, 9)]
+            assert ring.take() == []
+
+    def test_a_ring_that_was_put_away_holds_nothing(self, near: Bus) -> None:
+        with near.ring("test/a", 3) as ring:
+            near.put("test/a", b"1", encoding=TEXT)
+        assert ring.take() == []
+        with near.ring("test/a", 3) as ring:
+            near.close()
+            assert ring.take() == []
+
     def test_a_query_is_answered_with_what_its_handler_returns(self, near: Bus, far: Bus) -> None:
         def answer(query: Query) -> bytes:
             return f"{query.key} {query.parameters} ".encode() + query.payload
