@@ -71,8 +71,8 @@ class Books:
         Raises
         ------
         Refused
-            The coordinator was replaced, or a run is not the one that its folder holds, or was recorded on
-            another platform.
+            The coordinator was replaced, or a run is not the one that its folder holds, is to end before
+            what is recorded of it, or was recorded on another platform.
         FolderError, DiskFull
             Something cannot be written.
         InputError
@@ -174,11 +174,12 @@ class Books:
         self._held.close()
 
     def _check(self, subject: Subject) -> None:
-        """Check that a run's folder holds this run, or nothing."""
+        """Check that a run's folder holds a beginning of this run, or nothing."""
         path = self._holding.run_path(subject.run)
         ledger = self._find(subject.run)
         if ledger is not None:
             check_same(path, ledger.subject, subject)
+            ledger.check_end(subject.spec)
         elif RunFolder.is_run(path):
             check_same(path, subject.begun_in(RunFolder(path)), subject)
         else:

@@ -1,15 +1,19 @@
 """A run while it is recorded: its folder, its journal, and the rows that wait for their commit."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 from qdgrasp_coordinator.counts.stretch import Stretch, from_message
+from qdgrasp_coordinator.counts.tally import tally
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_coordinator.folders.journals import Journals
 from qdgrasp_coordinator.recording.intake import Intake, Verdict
 from qdgrasp_coordinator.recording.subject import Subject
+from qdgrasp_protocol.errors import ImpossibleValue, Refused
 from qdgrasp_protocol.messages import Recordable
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 
@@ -50,6 +54,22 @@ class Ledger:
             self._folder.rewrite_spec(spec)
         self._journal.begin_turn(epoch, time.time())
 
+    def check_end(self, spec: RunSpec) -> None:
+        """Check that the run may end as this spec says: not before a row that is here or waits.
+
+        Raises
+        ------
+        Refused
+            It may not.
+        """
+        if spec == self.subject.spec:
+            return
+        try:
+            tally(spec, self._rows()).check_budget(spec)
+        except ImpossibleValue as reason:
+            why = str(reason).removesuffix(".")
+            raise Refused(f"{self._folder.path} cannot end as is asked: {why}") from None
+
     def take(self, message: Recordable, now: float) -> Verdict:
         """Let rows wait for their commit.
 
@@ -88,6 +108,12 @@ class Ledger:
     def add_scene(self, payload: bytes) -> None:
         """Store the scene's bundle."""
         self._folder.add_bundle(payload)
+
+    def _rows(self) -> Iterator[Rows]:
+        """All rows in order, some thousands at a time."""
+        yield from self._journal.blocks()
+        if (group := self.intake.group) is not None:
+            yield group.rows
 
     @property
     def _journal(self) -> JournalWriter:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import msgspec
 
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntry
 from qdgrasp_coordinator.counts.figures import Figures
 from qdgrasp_coordinator.counts.tally import Tally
@@ -44,7 +45,7 @@ class Lane:
         """
         opened = self.record.open(self.assignment.opening, epoch, wait)
         position, durable = 0, opened.durable[0]
-        while position < durable and not self.pipeline.finished:
+        while position < durable:
             stretch = self.record.recorded(position, wait)
             if not len(stretch):
                 raise EndedEarly(f"The recorder has {durable} rows but shows none from {position} on.")
@@ -62,6 +63,16 @@ class Lane:
     def tally(self) -> Tally:
         """What its journal's rows add up to."""
         return self.pipeline.tally
+
+    @property
+    def curve(self) -> Curve:
+        """How its counts grew."""
+        return self.pipeline.trail.curve(self.run)
+
+    @property
+    def waiting(self) -> int:
+        """Settled rows that are not known to be on disk."""
+        return max(0, self.tally.rows - self.record.durable)
 
     @property
     def is_done(self) -> bool:

@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import msgspec
 import pytest
 from tests.coordinator.recording.recorded import BUNDLE, JOB, SCENE, SHAPE, SPEC, make_rows
 
@@ -44,6 +45,12 @@ def open_files() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
+def content(folder: Path) -> dict[Path, bytes]:
+    """What all files hold, but for what readers share in memory."""
+    files = [file for file in folder.rglob("*") if file.is_file() and not file.name.endswith("-shm")]
+    return {file: file.read_bytes() for file in files}
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "campaign"
@@ -69,6 +76,29 @@ class TestOpening:
                 books.open(ask("d", epoch=1))
         assert not (path / "runs" / "d").exists()
         assert JobFolder.open(path).epoch == 2
+
+    @pytest.mark.parametrize("is_committed", [True, False])
+    def test_an_end_before_what_is_recorded_is_refused_and_nothing_is_written(
+        self, path: Path, is_committed: bool
+    ) -> None:
+        counted = msgspec.structs.replace(SPEC, overlaps="count")
+        sooner = msgspec.structs.replace(counted, evaluations=29)
+        with Books(path, JOB) as books:
+            books.open(ask("a", spec=counted))
+            books.take(rows("a", 0, 30), 0.0)
+            if is_committed:
+                books.commit("a")
+            before = content(path)
+            with pytest.raises(
+                Refused, match="runs/a cannot end as is asked: evaluations must be at least 30"
+            ):
+                books.open(ask("b", "a", spec=sooner))
+            assert content(path) == before
+            assert books.epoch == 1
+            books.commit("a")
+            exactly = msgspec.structs.replace(counted, evaluations=30)
+            assert books.open(ask("a", spec=exactly)).durable == [30]
+        assert RunFolder(path / "runs" / "a").spec == exactly
 
     def test_a_turn_that_is_ahead_of_the_disk_is_adopted(self, path: Path) -> None:
         with Books(path, JOB) as books:

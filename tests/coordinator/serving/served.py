@@ -43,6 +43,12 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.001)  # between two looks; nothing depends on how long it is
 
 
+def assignment(name: str, plan: Plan) -> Assignment:
+    """The run of a plan at its very beginning."""
+    bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
+    return Assignment(name, SPEC, bundle, "none", SHAPE, plan.pipeline(), plan.evaluations)
+
+
 class Runs:
     """A programme of runs; those of no plan cannot be made."""
 
@@ -63,10 +69,9 @@ class Runs:
         plan = self._plans[name]
         if plan is None:
             raise RunFailed(name, "Its mesh is no mesh.")
-        pipeline = plan.pipeline()
-        self.pipelines.append(weakref.ref(pipeline))
-        bundle = Bundle(name.encode() * 100, hashlib.sha256(name.encode() * 100).hexdigest())
-        return Assignment(name, SPEC, bundle, "none", SHAPE, pipeline, plan.evaluations)
+        made = assignment(name, plan)
+        self.pipelines.append(weakref.ref(made.pipeline))
+        return made
 
     def put_back(self, run: str) -> None:
         self._left.insert(0, run)
