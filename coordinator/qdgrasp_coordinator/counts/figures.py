@@ -55,6 +55,11 @@ class Figures(RunEntry, frozen=True, kw_only=True):
     trouble: str = ""
     """What keeps the run from going on, in words; empty when nothing does."""
 
+    @property
+    def left(self) -> str:
+        """The time left in words, at the speed so far."""
+        return _left(self.budget - self.evaluations, self.rate)
+
 
 class JobFigures(Struct, frozen=True, kw_only=True):
     """How far a job is with all of its runs. Travels as JSON on `stat/job`."""
@@ -134,11 +139,7 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     @property
     def left(self) -> str:
         """The time left in words, at the speed so far."""
-        if self.rate <= 0:
-            return "time left unknown"
-        seconds = round(max(0, self.budget - self.evaluations) / self.rate)
-        hours, seconds = divmod(seconds, 3600)
-        return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
+        return _left(self.budget - self.evaluations, self.rate)
 
 
 class JobMeta(Struct, frozen=True, kw_only=True):
@@ -157,6 +158,15 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     runs: int
     budget: int
     """Counted evaluations of all runs."""
+
+
+def _left(evaluations: int, rate: float) -> str:
+    """The time that so many evaluations take at so many per second, in words."""
+    if rate <= 0:
+        return "time left unknown"
+    seconds = round(max(0, evaluations) / rate)
+    hours, seconds = divmod(seconds, 3600)
+    return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
 
 
 Kind = TypeVar("Kind", bound=Struct)
