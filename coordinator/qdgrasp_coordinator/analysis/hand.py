@@ -38,7 +38,7 @@ class Hand:
         joints
             (j,): finger joint positions [rad or m], in the gripper's order.
         """
-        frames = self._frames(base_to_object, joints)
+        frames = self.frames(base_to_object, joints)
         for shape in self.shapes:
             frame = frames[shape.link]
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
@@ -55,7 +55,7 @@ class Hand:
         up
             (3,), unit, the object's CoM frame.
         """
-        frames = self._frames(base_to_object, joints)
+        frames = self.frames(base_to_object, joints)
         lowest = np.full(len(base_to_object), np.inf)
         for shape in self.shapes:
             frame = frames[shape.link]
@@ -64,8 +64,16 @@ class Hand:
             lowest = np.minimum(lowest, height)
         return lowest
 
-    def _frames(self, base_to_object: Floats, joints: Floats) -> dict[str, Floats]:
-        """The links' frames (..., 4, 4) for poses (..., 7) and joint positions (..., j)."""
+    def frames(self, base_to_object: Floats, joints: Floats) -> dict[str, Floats]:
+        """Each link's frame (..., 4, 4) in the object's CoM frame.
+
+        Parameters
+        ----------
+        base_to_object
+            (..., 7), as in `posed`.
+        joints
+            (..., j).
+        """
         names = [joint.name for joint in self.gripper.joints]
         positions = dict(zip(names, np.moveaxis(joints, -1, 0), strict=True))
         return self.robot.forward(positions, _frame(base_to_object))

@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.analysis.fitness import COLOURS, WORDS
 from qdgrasp_coordinator.analysis.growth import Growth, growth
 from qdgrasp_coordinator.analysis.layers import FINE
 from qdgrasp_coordinator.analysis.views import (
-    FITNESS,
     View,
     best_in_cells,
     side_of,
@@ -28,7 +28,6 @@ HANDS, CELLS, GROWTH = (0.01, 0.02, 0.545, 0.872), (0.6, 0.385, 0.294, 0.47), (0
 INK, FAINT = "#22262b", "#69717a"
 LINES = {"successes": "#8a9199", "cells": "#2a73b9"}
 FOUND = {Outcome.DROPPED: "successes", Outcome.SHAKEN: "grasps", Outcome.HELD: "robust"}
-SURVIVED = ("no shake survived", "one shake survived", "both survived")
 LABELS_APART = 0.22
 """Lines that end closer than this, as a share of the panel, have the lower one's label moved down."""
 BAR = 0.05
@@ -99,7 +98,7 @@ def _cells(axes: Axes, view: View) -> None:
     heading = f"{len(view.shown):,} cells of 1 cm where the hand had a success"
     axes.set_title(heading + ("" if view.whole else ", cut open"), size=13, color=INK, loc="left", pad=4)
     fitness = np.clip(view.shown["fitness"], 0, 2).astype(int)
-    for best, (colour, word) in enumerate(zip(FITNESS, SURVIVED, strict=True)):
+    for best, (colour, word) in enumerate(zip(COLOURS, WORDS, strict=True)):
         height = -0.03 - 0.055 * (2 - best)
         axes.text(0.0, height, "\u25a0", color=colour, size=15, transform=axes.transAxes, va="center")
         words = f"{int((fitness == best).sum()):,}  {word}"

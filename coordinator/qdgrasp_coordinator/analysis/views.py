@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from qdgrasp_assets.mesh import Mesh, join
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.analysis import fitness
 from qdgrasp_coordinator.analysis.choice import best_side, well_spread
 from qdgrasp_coordinator.analysis.hand import hand
 from qdgrasp_coordinator.analysis.layers import FINE, Image
@@ -25,8 +26,6 @@ HUES = (
     "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
 )  # fmt: skip
 """Hands, in turn: the first far from the second; neighbours are told apart with any colour vision."""
-FITNESS = ("#bdb7ad", "#f2a431", "#2a73b9")
-"""Cells, by their best fitness: 0, 1, 2."""
 FADE = 0.06
 """A palm fades with its distance from the object, to 1/e of itself at this one [m]."""
 CUBE = 0.0072
@@ -94,9 +93,9 @@ def view_of_cells(scene: Scene, best: Rows, azimuth: float, pixels: int, hues: F
     return View(image.finished(), image.camera, best, bool(kept.all()))
 
 
-def hues_of_fitness(fitness: NDArray[np.number]) -> Floats:
+def hues_of_fitness(best: NDArray[np.number]) -> Floats:
     """The colours (n, 3) of cells by their best fitness (n,)."""
-    hues: Floats = np.array([rgb(colour) for colour in FITNESS])[np.clip(fitness, 0, 2).astype(int)]
+    hues: Floats = np.array([rgb(colour) for colour in fitness.COLOURS])[np.clip(best, 0, 2).astype(int)]
     return hues
 
 

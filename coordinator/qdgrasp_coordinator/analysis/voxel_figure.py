@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.entries import Entry, SceneName, usual
+from qdgrasp_coordinator.analysis.fitness import COLOURS, WORDS
 from qdgrasp_coordinator.analysis.history import History
-from qdgrasp_coordinator.analysis.picture import SURVIVED, scale_bar, triad
+from qdgrasp_coordinator.analysis.picture import scale_bar, triad
 from qdgrasp_coordinator.analysis.rays import Floats
 from qdgrasp_coordinator.analysis.sheet import Sheet, heading
-from qdgrasp_coordinator.analysis.views import FITNESS, best_in_cells, hues_of_fitness, side_of, view_of_cells
+from qdgrasp_coordinator.analysis.views import best_in_cells, hues_of_fitness, side_of, view_of_cells
 from qdgrasp_coordinator.counts.cells import cells
 from qdgrasp_coordinator.counts.scores import eta, scored
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -130,7 +131,7 @@ def _behind(run: History) -> str:
 
 
 def _legend(shown: Sequence[Voxels]) -> list[Line2D]:
-    fitness = [(to_rgb(hue), words) for hue, words in zip(FITNESS, SURVIVED, strict=True)]
+    fitness = [(to_rgb(hue), words) for hue, words in zip(COLOURS, WORDS, strict=True)]
     etas = [(tuple(_hues_of_eta(np.array([eta]))[0]), f"\u03b7 = {eta:g}") for eta in ETAS]
     kinds = [
         (fitness, any(one.eta is None for one in shown)),
