@@ -103,6 +103,21 @@ class DiskFull(FolderError):
     """There is no room to write in a run folder; what was written before is whole."""
 
 
+class EndsTooSoon(InputError):
+    """A run that is to end before what is recorded of it.
+
+    Parameters
+    ----------
+    folder
+        The run's.
+    reason
+        What is asked for, and what is recorded.
+    """
+
+    def __init__(self, folder: object, reason: ImpossibleValue) -> None:
+        super().__init__(f"{folder} cannot end as is asked: {reason}")
+
+
 class JawNeeded(InputError):
     """A prior for two-finger hands, and a hand that is none.
 

@@ -25,7 +25,7 @@ def begin(path: Path, asked: Campaign, job: str | None = None) -> Extent:
 
     Raises
     ------
-    FolderError, ImpossibleValue
+    FolderError, EndsTooSoon
         The folder holds a single run, another job, other files, runs that are not asked for any more, or one
         that is asked for with another spec or with less than it has; or it is in use. It is left as it was.
     """

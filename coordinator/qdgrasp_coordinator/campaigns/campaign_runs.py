@@ -14,7 +14,7 @@ from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.runs import preparation
 from qdgrasp_coordinator.runs.assignment import Assignment
-from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, RunFailed
+from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
 from qdgrasp_protocol.spec import GOALS, RunSpec, differences
 
 SCENE = ("gripper", "object", "mass", "friction", "protocol", "surface_seed")
@@ -33,7 +33,7 @@ class CampaignRuns:
 
     Raises
     ------
-    FolderError, ImpossibleValue
+    FolderError, EndsTooSoon
         A run's folder holds another run, or more evaluations than its budget.
     """
 
@@ -101,7 +101,7 @@ def finished(path: Path, spec: RunSpec) -> Totals | None:
 
     Raises
     ------
-    FolderError, ImpossibleValue
+    FolderError, EndsTooSoon
         It holds a run of another spec, more evaluations than the budget, or successes alone of fewer.
     """
     if not RunFolder.is_run(path):
@@ -124,7 +124,10 @@ def finished(path: Path, spec: RunSpec) -> Totals | None:
 
 def _counted(folder: RunFolder, spec: RunSpec) -> Totals | None:
     """What a run's rows come to, kept for the next time; None while it is not finished."""
-    found = tally_within(folder, spec)
+    try:
+        found = tally_within(folder, spec)
+    except ImpossibleValue as reason:
+        raise EndsTooSoon(folder.path, reason) from None
     if not found.finished:
         return None
     finding.write(folder, spec, Totals.of(found))

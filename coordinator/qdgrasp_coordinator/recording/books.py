@@ -71,12 +71,12 @@ class Books:
         Raises
         ------
         Refused
-            The coordinator was replaced, or a run is not the one that its folder holds, is to end before
-            what is recorded of it, or was recorded on another platform.
+            The coordinator was replaced, or a run is not the one that its folder holds, or was recorded on
+            another platform.
         FolderError, DiskFull
             Something cannot be written.
         InputError
-            A spec is none.
+            A spec is none, or its run is to end before what is recorded of it.
         """
         self._holding.check(asked)
         subjects = [Subject.of(run) for run in asked.runs]

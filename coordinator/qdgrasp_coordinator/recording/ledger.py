@@ -11,7 +11,7 @@ from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_coordinator.folders.journals import Journals
 from qdgrasp_coordinator.recording.intake import Intake, Verdict
 from qdgrasp_coordinator.recording.subject import Subject
-from qdgrasp_protocol.errors import ImpossibleValue, Refused
+from qdgrasp_protocol.errors import EndsTooSoon, ImpossibleValue
 from qdgrasp_protocol.messages import Recordable
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -59,7 +59,7 @@ class Ledger:
 
         Raises
         ------
-        Refused
+        EndsTooSoon
             It may not.
         """
         if spec == self.subject.spec:
@@ -67,8 +67,7 @@ class Ledger:
         try:
             tally(spec, self._rows()).check_budget(spec)
         except ImpossibleValue as reason:
-            why = str(reason).removesuffix(".")
-            raise Refused(f"{self._folder.path} cannot end as is asked: {why}") from None
+            raise EndsTooSoon(self._folder.path, reason) from None
 
     def take(self, message: Recordable, now: float) -> Verdict:
         """Let rows wait for their commit.

@@ -85,7 +85,7 @@ class Scribe:
             self._wait_for_room(full, now)
             raise NoReply(str(full)) from None
         except (InputError, MessageError, Refused) as error:
-            raise Refused(str(error)) from None
+            raise Refused(str(error).removesuffix(".")) from None
 
     def _take_rows(self, message: Recordable, now: float) -> None:
         verdict = self._books.take(message, now)

@@ -1,5 +1,6 @@
 """Finished runs whose journals need not be read again."""
 
+import re
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -13,7 +14,7 @@ from qdgrasp_coordinator.campaigns import campaign_runs, finding
 from qdgrasp_coordinator.campaigns.campaign_runs import finished
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.keeping.pruning import prune
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.errors import EndsTooSoon, FolderError
 
 N = 100
 
@@ -65,3 +66,11 @@ def test_a_pruned_run_is_finished_with_what_it_had_and_cannot_be_extended(run: R
     assert finished(run.path, run.spec) == known
     with pytest.raises(FolderError, match="was pruned"):
         finished(run.path, msgspec.structs.replace(run.spec, evaluations=N + 1))
+
+
+def test_a_run_that_is_to_end_before_what_is_recorded_is_named(run: RunFolder) -> None:
+    said = (
+        f"{re.escape(str(run.path))} cannot end as is asked: evaluations must be at least {N}, .* got {N - 1}"
+    )
+    with pytest.raises(EndsTooSoon, match=said):
+        finished(run.path, msgspec.structs.replace(run.spec, evaluations=N - 1))

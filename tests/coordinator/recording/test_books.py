@@ -10,7 +10,7 @@ from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.recording.books import Books
 from qdgrasp_coordinator.recording.intake import GROUP_SECONDS, Verdict
-from qdgrasp_protocol.errors import FolderError, Refused
+from qdgrasp_protocol.errors import EndsTooSoon, FolderError, Refused
 from qdgrasp_protocol.messages import Log, Open, Opened, OpenRun, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -90,7 +90,7 @@ class TestOpening:
                 books.commit("a")
             before = content(path)
             with pytest.raises(
-                Refused, match="runs/a cannot end as is asked: evaluations must be at least 30"
+                EndsTooSoon, match="runs/a cannot end as is asked: evaluations must be at least 30"
             ):
                 books.open(ask("b", "a", spec=sooner))
             assert content(path) == before
