@@ -19,6 +19,11 @@ def coordinator() -> None:
     _enter("qdgrasp_coordinator.cli.coordinator")
 
 
+def monitor() -> None:
+    """Entry point of `qdgrasp-monitor`."""
+    _enter("qdgrasp_coordinator.cli.monitor")
+
+
 def recorder() -> None:
     """Entry point of `qdgrasp-recorder`."""
     _enter("qdgrasp_coordinator.cli.recorder")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from qdgrasp_coordinator.cli.asking import place, session
-from qdgrasp_coordinator.watching.overview import overview
+from qdgrasp_coordinator.monitor.overview import overview
 from qdgrasp_protocol import codec, flags
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName

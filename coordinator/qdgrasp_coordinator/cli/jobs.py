@@ -1,16 +1,11 @@
 """`qdgrasp jobs`: what runs where, since when, and how far."""
 
-import json
-
-import msgspec
-import typer
-
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.asking import place, session
-from qdgrasp_coordinator.watching.overview import overview, utc_now
+from qdgrasp_coordinator.cli.monitor import show
+from qdgrasp_coordinator.monitor.overview import overview
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.credentials import Role
-from qdgrasp_protocol.printable import printable
 
 
 def jobs(
@@ -22,11 +17,4 @@ def jobs(
     """
     endpoint = place(connect, security)
     with session(endpoint, security, Role.MONITOR) as bus:
-        found = overview(bus)
-    if as_json:
-        typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
-    elif not found:
-        typer.echo(f"No job is at {endpoint}: the router answers, but no coordinator does.")
-    for job in () if as_json else found:
-        for line in job.lines(utc_now()):
-            typer.echo(printable(line))
+        show(overview(bus), endpoint, as_json=as_json)

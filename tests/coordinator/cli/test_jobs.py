@@ -6,10 +6,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from tests.coordinator.watching.test_overview import values
+from tests.coordinator.monitor.shown import values, views
 
 from qdgrasp_coordinator.cli import administer, jobs
-from qdgrasp_coordinator.watching.overview import views
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.messages import Done, Order
 

@@ -7,7 +7,8 @@ import pytest
 from tests.coordinator.runs.plans import Plan, reference
 from tests.coordinator.serving.served import JOB, PLANS, SOON, Job, Pretender, Slow, until
 
-from qdgrasp_coordinator.watching.overview import JobView, overview
+from qdgrasp_coordinator.monitor.jobs import JobView
+from qdgrasp_coordinator.monitor.overview import overview
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import Cancelled, Refused
@@ -104,6 +105,21 @@ def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
         assert ann.rows == before
 
 
+def test_a_drained_worker_that_comes_back_is_told_again() -> None:
+    job = Job({"run-0": LONG})
+    session = job.network.session()
+    ann = Pretender(session, ANN, answers=False)
+    with job.serving(), job.network.session() as bus, ann.at_work():
+        assert ann.kept.wait(SOON)
+        tell(bus, "drain", worker="aaa")
+        before = ann.rows
+        session.cut()
+        session.mend()
+        until(lambda: len(ann.controls) == 2)
+        assert ann.controls[-1].drain
+        assert ann.rows == before
+
+
 @pytest.mark.parametrize(
     ("whom", "reason"),
     [
@@ -137,9 +153,9 @@ def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
         with Pretender(job.network.session(), ANN, answers=False).at_work() as worker:
             assert worker.kept.wait(SOON)
             view = shown(bus)
-            values = bus.ask_all(Keys(JOB).stat("worker/*"))
+            values = bus.ask_all(Keys(JOB).stat("team/*"))
     assert (view.meta.job, view.meta.epoch, view.meta.runs) == (JOB, 1, 2)
     assert view.meta.budget == 2 * LONG.evaluations
     assert [(one.wid, one.host, one.state) for one in view.workers] == [(ANN, "here", "working")]
-    assert {json.loads(value)["wid"] for value in values.values()} == {ANN}
+    assert [one["wid"] for value in values.values() for one in json.loads(value)["workers"]] == [ANN]
     assert {one.run for one in view.runs} <= {"run-0", "run-1"}

@@ -1,7 +1,7 @@
 """What a death among a job's processes means."""
 
 import pytest
-from tests.coordinator.watching.test_overview import figures
+from tests.coordinator.monitor.shown import figures
 
 from qdgrasp_coordinator.watching.watch import KILLS, TRIES, Watch
 from qdgrasp_protocol.crew import Death
