@@ -1,9 +1,35 @@
 """The curve of a run: how its counts grew, in points few enough to be shown at once."""
 
+from typing import Protocol
+
 from msgspec import Struct
 
 POINTS = 512
 """The most points of a curve."""
+
+
+class Counts(Protocol):
+    """What a curve is of."""
+
+    @property
+    def evaluations(self) -> int:
+        """Counted evaluations."""
+
+    @property
+    def proposals(self) -> int:
+        """Poses that decoding screened."""
+
+    @property
+    def successes(self) -> int:
+        """Nominal successes."""
+
+    @property
+    def cells(self) -> int:
+        """Distinct 1 cm cells with one."""
+
+    @property
+    def robust(self) -> int:
+        """Successes that survived both shakes."""
 
 
 class Point(Struct, frozen=True, array_like=True):
@@ -22,3 +48,33 @@ class Curve(Struct, frozen=True, kw_only=True):
     run: str
     points: list[Point]
     """At most `POINTS`, at evenly spaced generations."""
+
+
+class Trail:
+    """Notes the counts of a run generation by generation, and thins them by halves.
+
+    A function of the rows alone: a run that was replayed has the same curve.
+    """
+
+    def __init__(self) -> None:
+        self._points: list[Point] = []
+        self._step = 1
+        self._generations = 0
+
+    def note(self, counts: Counts) -> None:
+        """Note the counts at the end of the next generation."""
+        self._generations += 1
+        if self._generations % self._step:
+            return
+        if len(self._points) == POINTS:
+            self._points = self._points[1::2]
+            self._step *= 2
+            if self._generations % self._step:
+                return
+        self._points.append(
+            Point(counts.evaluations, counts.proposals, counts.successes, counts.cells, counts.robust)
+        )
+
+    def curve(self, run: str) -> Curve:
+        """The curve so far of the run of that name."""
+        return Curve(run=run, points=list(self._points))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.dispatching.backlog import Backlog
 from qdgrasp_coordinator.dispatching.batch import Batch, Lease, Settled, Settlement, complete
 from qdgrasp_coordinator.dispatching.member import Member
-from qdgrasp_coordinator.dispatching.roster import Roster
+from qdgrasp_coordinator.dispatching.roster import Overdue, Roster
 from qdgrasp_coordinator.dispatching.tickets import Ticket, Tickets
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.messages import Failure, Result
@@ -33,6 +33,8 @@ class Lost:
     reason: str
     batches: int
     """How many of its batches were queued again."""
+    is_there: bool
+    """It is still there, but stuck."""
 
 
 class Dispatch:
@@ -179,14 +181,16 @@ class Dispatch:
 
     def tick(self, now: float) -> list[Lost]:
         """Queue again what vanished workers held, and what was leased without progress for too long."""
-        return [
-            Lost(worker.wid, worker.reason, self._requeue(worker.batches))
-            for worker in self._roster.overdue(now)
-        ]
+        return [self._lose(worker) for worker in self._roster.overdue(now)]
 
     def next_deadline(self) -> float:
         """Before when `tick` has nothing to do if nothing happens; infinite: never."""
         return self._roster.next_deadline()
+
+    @property
+    def strays(self) -> int:
+        """Results that were dropped: late, duplicate, unknown, or of somebody else's batch."""
+        return sum(self.counters[kind.value] for kind in Settlement if kind is not Settlement.FRESH)
 
     @property
     def workers(self) -> int:
@@ -233,11 +237,15 @@ class Dispatch:
         self.counters["requeued"] += len(tickets)
         return len(tickets)
 
+    def _lose(self, worker: Overdue) -> Lost:
+        """Queue again what a worker held that is given up."""
+        is_there = self._roster.get(worker.wid) is not None
+        return Lost(worker.wid, worker.reason, self._requeue(worker.batches), is_there)
+
     # Settling.
 
     def _learn(self, ticket: Ticket, wid: str, result: Result, now: float) -> None:
         self._backlog.measure(ticket.batch, result.cpu_seconds)
-        self._roster.settled(wid, result.n)
         if ticket.holder == wid:
             self._roster.patience.measure(now - ticket.since)
 

@@ -39,10 +39,6 @@ class Member:
     """It let a lease pass; until it shows progress it gets no work, unless all are stuck."""
     is_drained: bool = False
     """It is to leave: it gets no more work."""
-    since: float = 0.0
-    """When it joined first."""
-    rows: int = 0
-    """How many rows it has settled."""
 
     @property
     def is_well(self) -> bool:

@@ -55,10 +55,9 @@ class Roster:
     def admit(self, wid: str, number: int, credit: int, now: float) -> Member:
         """Take a worker on, with empty hands."""
         self._joined += 1
-        member = Member(wid, number, credit, self._joined, now, since=now, is_drained=wid in self._drained)
+        member = Member(wid, number, credit, self._joined, now, is_drained=wid in self._drained)
         if (old := self._members.get(wid)) is not None:
             member.order, member.scenes = old.order, old.scenes
-            member.since, member.rows = old.since, old.rows
         self._members[wid] = member
         self._note(member)
         return member
@@ -90,11 +89,6 @@ class Roster:
         if (member := self._members.get(wid)) is not None:
             member.progressed(now)
             self._note(member)
-
-    def settled(self, wid: str, rows: int) -> None:
-        """Hear that a worker has settled rows."""
-        if wid in self._members:
-            self._members[wid].rows += rows
 
     def gone(self, wid: str, now: float) -> None:
         """Hear that a worker's token has vanished."""

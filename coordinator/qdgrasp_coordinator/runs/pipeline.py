@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from qdgrasp_coordinator.counts.curve import Trail
 from qdgrasp_coordinator.counts.goals import Goals
 from qdgrasp_coordinator.counts.stretch import Stretch
 from qdgrasp_coordinator.counts.tally import BUDGET_ALONE, Tally
@@ -60,6 +61,8 @@ class Pipeline:
         goals: Goals = BUDGET_ALONE,
     ) -> None:
         self.tally = Tally(evaluations, overlaps, trials, goals)
+        self.trail = Trail()
+        """How the tally grew."""
         self._search = search
         self._shape = shape
         self._overlaps = overlaps
@@ -161,6 +164,7 @@ class Pipeline:
             slot.cut()
         if slot.is_complete:
             self.tally.end_generation()
+            self.trail.note(self.tally)
             self._close(slot)
         return rows
 

@@ -27,8 +27,10 @@ class OrderRequest:
 
 @dataclass(frozen=True)
 class ShowRequest:
-    """Somebody waits for the last values of all that is shown of this job."""
+    """Somebody waits for the last values of what is shown of this job."""
 
+    asked: str
+    """The keys, as a pattern."""
     answer: Future[dict[str, bytes]] = field(default_factory=Future)
 
 

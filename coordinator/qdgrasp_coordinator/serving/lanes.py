@@ -163,6 +163,7 @@ class Lanes:
             runs_open=len(self._open),
             budget=self._extent.evaluations,
             **asdict(found),
+            waiting=sum(lane.waiting for lane in self._open.values()),
             workers=workers,
             seconds=seconds,
             rate=(found.evaluations - replayed) / seconds if seconds > 0 else 0.0,

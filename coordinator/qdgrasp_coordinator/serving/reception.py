@@ -64,9 +64,9 @@ class Reception:
         self._inbox.put(request)
         return codec.encode(Done(words=short(_awaited(request.answer))))
 
-    def values(self, _query: Query) -> dict[str, bytes]:
-        """All that is shown of the job, as it is now; raises `NoReply` where the coordinator is busy."""
-        request = ShowRequest()
+    def values(self, query: Query) -> dict[str, bytes]:
+        """What is shown of the job, as it is now; raises `NoReply` where the coordinator is busy."""
+        request = ShowRequest(query.key)
         self._inbox.put(request)
         return _awaited(request.answer)
 

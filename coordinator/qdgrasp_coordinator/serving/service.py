@@ -4,6 +4,8 @@ One thread does everything but opening runs; callbacks of the bus and the opener
 do with what comes is decided in `Turn`, and carried out here.
 """
 
+import os
+import socket
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -86,9 +88,10 @@ class CoordinatorService:
         self._doors = ExitStack()
         self._lanes = Lanes(programme, make_record, self._inbox.put, stop)
         self._reception = Reception(self._inbox, self._lanes.scene)
+        self._board = Board(bus, job, self._lanes, lambda: self._turn)
+        self._note = self._board.chronicle.note
         self._turn = self._new_turn(0)
         self._turn.is_paused = paused
-        self._board = Board(bus, job, self._lanes, lambda: self._turn)
         self._orders = Orders(job, lambda: self._turn, self._end_early)
         self._ending = Ending(seconds, time.monotonic())
 
@@ -116,10 +119,11 @@ class CoordinatorService:
             while not (self._stop.is_set or self._lanes.are_done or self._has_ended):
                 self._step()
                 look(time.monotonic())
+            reason = str("asked to stop" if self._stop.is_set else self._ending.reason or "done")
             self._board.publish(time.monotonic())
-        reason = "asked to stop" if self._stop.is_set else self._ending.reason or "done"
+            self._note("job", f"The coordinator ends: {reason.rstrip('.')}.")
         dropped = self._turn.drops.count
-        log.info("ended", reason=str(reason), dropped=dropped, **self._turn.dispatch.counters)
+        log.info("ended", reason=reason, dropped=dropped, **self._turn.dispatch.counters)
         if self._stop.is_set:
             return
         if self._ending.reason and not self._lanes.are_done:
@@ -160,8 +164,8 @@ class CoordinatorService:
                 self._lanes.none_left()
             case OrderRequest(order, answer):
                 self._obey(order, answer, now)
-            case ShowRequest(answer):
-                answer.set_result(self._board.values(now))
+            case ShowRequest(asked, answer):
+                answer.set_result(self._board.values(asked, now))
             case TokenChange(key, alive):
                 self._board.token_changed(key, alive)
                 self._turn.take(event, now)
@@ -184,6 +188,7 @@ class CoordinatorService:
             answer.set_exception(refusal)
             return
         log.info("obeyed", order=order.act, words=words)
+        self._note("job", words)
         answer.set_result(words)
 
     def _end_early(self, reason: EndedEarly | None = None) -> None:
@@ -209,6 +214,7 @@ class CoordinatorService:
         enter(self._bus.watch(self._keys.recorder_token(), self._token_changed))
         enter(self._bus.show(self._keys.stat(), self._reception.values))
         enter(self._bus.show(self._keys.meta, self._reception.values))
+        enter(self._bus.show(self._keys.recent, self._reception.values))
         enter(self._bus.answer(self._keys.control, self._reception.order))
 
     def _begin(self, lane: Lane, opened: Opened) -> None:
@@ -222,6 +228,9 @@ class CoordinatorService:
             return
         self._lanes.begin(lane)
         log.info("opened", run=lane.run, recorded=lane.replayed)
+        rows = lane.tally.rows
+        words = f"Run '{lane.run}' goes on from row {rows}." if rows else f"Run '{lane.run}' begins."
+        self._note("run", words, run=lane.run)
 
     def _begin_turn(self, epoch: int) -> None:
         """Open the doors to workers: results, joins and scenes first, the token that invites them last."""
@@ -237,15 +246,18 @@ class CoordinatorService:
         enter(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
         enter(self._bus.token(self._keys.coordinator_token(epoch)))
         self._board.publish_meta()
+        how = f"takes over with turn {epoch}" if epoch > 1 else "begins"
+        self._note("job", f"The coordinator on {socket.gethostname()} (process {os.getpid()}) {how}.")
 
     def _new_turn(self, epoch: int) -> Turn:
-        return Turn(self._job, epoch, self._lanes, self._put, self._batch_size)
+        return Turn(self._job, epoch, self._lanes, self._put, self._batch_size, self._board.chronicle)
 
     def _mend(self, fallen: RecorderFellBack) -> None:
         """Go on with a run from what is left of its records: what is missing is evaluated again."""
         lane = self._lanes.get(fallen.run)
         if lane is not None:
             log.warning("a run goes on from fewer records", run=lane.run, reason=str(fallen))
+            self._note("recorder", str(fallen), run=lane.run)
             self._turn.withdraw(lane.run)
             self._lanes.reopen(lane)
 
@@ -255,12 +267,14 @@ class CoordinatorService:
             raise reason
         self._lanes.fail(reason)
         log.error("a run cannot be carried out", run=reason.run, reason=str(reason))
+        self._note("error", f"Run '{reason.run}' cannot be carried out: {reason}", run=reason.run)
 
     def _end(self, lane: Lane, now: float) -> None:
         """Let go of a run that is finished and recorded."""
         self._board.publish_run(lane.figures(self._turn.dispatch.workers, now))
         self._lanes.end(lane)
         log.info("finished", run=lane.run, reason=lane.pipeline.finished)
+        self._note("run", f"Run '{lane.run}' is finished: {lane.pipeline.finished}.", run=lane.run)
 
     # Messages are sent.
 

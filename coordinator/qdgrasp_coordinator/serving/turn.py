@@ -4,27 +4,40 @@ Pipeline, dispatch and outbox decide for themselves; here stands who of them hea
 (docs/bus.md, rules 1 to 10). Time is passed in, in seconds of any steady clock.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from typing import Protocol
 
 import structlog
 
-from qdgrasp_coordinator.counts.team import WorkerFigures
+from qdgrasp_coordinator.counts.figures import from_json
+from qdgrasp_coordinator.counts.team import TeamFigures, WorkerFigures
 from qdgrasp_coordinator.dispatching.batch import Settlement, readable
-from qdgrasp_coordinator.dispatching.dispatch import Dispatch
-from qdgrasp_coordinator.dispatching.member import Member
+from qdgrasp_coordinator.dispatching.dispatch import STRIKES, Dispatch, Lost
 from qdgrasp_coordinator.folders.platforms import admit
 from qdgrasp_coordinator.runs.generation import Generation
+from qdgrasp_coordinator.serving.chronicle import Chronicle
 from qdgrasp_coordinator.serving.inbox import JoinRequest, LinkChange, TokenChange
 from qdgrasp_coordinator.serving.lane import Lane
+from qdgrasp_coordinator.serving.team import Team
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.codec import decoded
 from qdgrasp_protocol.drops import Drops
 from qdgrasp_protocol.errors import MessageError, Refused, TookOver
 from qdgrasp_protocol.keys import Keys, last_chunk, number
-from qdgrasp_protocol.messages import VERSION, Control, Join, Joined, Message, Opened, Recorded, Result
+from qdgrasp_protocol.messages import (
+    VERSION,
+    Control,
+    Failure,
+    Join,
+    Joined,
+    Message,
+    Opened,
+    Recorded,
+    Result,
+)
+from qdgrasp_protocol.sign import Sign
 
 log = structlog.get_logger()
 
@@ -58,9 +71,19 @@ class Turn:
         Sends messages.
     batch_size
         Rows in a batch; None: measured.
+    chronicle
+        Where it is noted what happens to workers and rows; None: nowhere that anybody looks.
     """
 
-    def __init__(self, job: str, epoch: int, lanes: OpenLanes, put: Put, batch_size: int | None) -> None:
+    def __init__(
+        self,
+        job: str,
+        epoch: int,
+        lanes: OpenLanes,
+        put: Put,
+        batch_size: int | None,
+        chronicle: Chronicle | None = None,
+    ) -> None:
         self.epoch = epoch
         self.dispatch = Dispatch(epoch, batch_size)
         self._job = job
@@ -68,9 +91,10 @@ class Turn:
         self._results = self._keys.result("")
         self._lanes = lanes
         self._put = put
+        self._chronicle = chronicle or Chronicle()
+        self._team = Team()
         self._platform: dict[str, str] = {}
         self._alive: set[str] = set()
-        self._joins: dict[str, Join] = {}
         self.drops = Drops()
         self.is_paused = False
         """Nothing is leased; what is out comes back and counts."""
@@ -116,7 +140,7 @@ class Turn:
             elif sample.key.startswith(self._results):
                 self._take_result(sample, now)
             else:
-                self.dispatch.seen(last_chunk(sample.key), now)
+                self._take_sign(last_chunk(sample.key), from_json(sample.payload, Sign), now)
         except MessageError as error:
             self.drops.note(sample.key, error)
 
@@ -145,6 +169,9 @@ class Turn:
             known = self._platform
             self._platform = admit(known, join.platform)
         except Refused as refusal:
+            self._chronicle.note(
+                "worker", f"A worker on {join.host} was refused: {refusal}.", worker=join.wid
+            )
             answer.set_exception(refusal)
             return
         for lane in self._lanes if not known else ():
@@ -152,7 +179,8 @@ class Turn:
         drop = self.dispatch.join(join.wid, join.number, join.credit, join.held, now)
         if join.wid not in self._alive:
             self.dispatch.expect(join.wid, now)
-        self._joins[join.wid] = join
+        if self._team.joined(join, now):
+            self._chronicle.note("worker", f"{self._team.words(join.wid)} joined.", worker=join.wid)
         if self.dispatch.is_drained(join.wid):
             self._put(self._keys.ctl(join.wid), Control(epoch=self.epoch, drain=True), Channel.CONTROL)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
@@ -170,9 +198,24 @@ class Turn:
         if settled.superseded is not None:
             self._drop(settled.superseded, [result.batch])
         if settled.kind is Settlement.FRESH and settled.rows is not None:
+            self._team.settled(wid, result.n, now)
+            self._note_failures(lane.run, wid, settled.failures)
             lane.record.push(lane.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
             if lane.pipeline.finished is not None:
                 self.withdraw(lane.run)
+
+    def _take_sign(self, wid: str, sign: Sign, now: float) -> None:
+        """Hear that a worker is there; only one whose simulator works keeps its leases by that."""
+        self._team.said(wid, sign, now)
+        if sign.progressed:
+            self.dispatch.seen(wid, now)
+
+    def _note_failures(self, run: str, wid: str, failures: Sequence[Failure]) -> None:
+        """Note that rows were given up."""
+        if failures:
+            rows = f"{len(failures)} row{'s' if len(failures) > 1 else ''} of run '{run}'"
+            words = f"{rows} given up after {STRIKES} tries: {failures[0].reason}."
+            self._chronicle.note("error", words, run=run, worker=wid)
 
     def _take_recorded(self, report: Recorded, now: float) -> None:
         lane = self._lanes.get(report.run)
@@ -185,12 +228,20 @@ class Turn:
         """Give up who is overdue, ask what may be asked, send what was found, and lease what waits."""
         for lost in self.dispatch.tick(now):
             log.info("gave a worker up", worker=lost.wid[:8], reason=lost.reason, requeued=lost.batches)
-            here = {member.wid for member in self.dispatch.members}
-            self._joins = {wid: join for wid, join in self._joins.items() if wid in here}
+            self._lost(lost, now)
         for lane in self._lanes:
             self._move(lane, now)
         for lease in [] if self.is_paused or self.is_ending else self.dispatch.leases(now):
             self._put(self._keys.work(lease.wid), lease.work(self.epoch), Channel.DATA)
+
+    def _lost(self, lost: Lost, now: float) -> None:
+        """Note that a worker was given up: it is gone, as it wanted or not, or is stuck."""
+        how = "is stuck" if lost.is_there else "has left" if self._team.is_leaving(lost.wid) else "is gone"
+        again = f"; {lost.batches} of its batches are queued again" if lost.batches else ""
+        words = f"{self._team.words(lost.wid)} {how}: {lost.reason}{again}."
+        self._chronicle.note("worker", words, worker=lost.wid)
+        if not lost.is_there:
+            self._team.lost(lost.wid, now)
 
     def next_deadline(self) -> float:
         """When `step` gives somebody up if nothing happens before; infinite: never."""
@@ -225,7 +276,11 @@ class Turn:
 
     def workers(self, now: float) -> list[WorkerFigures]:
         """The workers, in the order in which they joined."""
-        return [self._figures(member, now) for member in self.dispatch.members]
+        return self._team.figures(self.dispatch.members, now)
+
+    def team(self, now: float) -> list[TeamFigures]:
+        """The workers page by page, also those that have gone a short while ago."""
+        return self._team.pages(self.dispatch.members, now)
 
     def drain(self, wid: str) -> None:
         """Have a worker finish what it holds, and leave."""
@@ -237,22 +292,6 @@ class Turn:
         self.is_ending = True
         for lane in self._lanes:
             self.withdraw(lane.run)
-
-    def _figures(self, member: Member, now: float) -> WorkerFigures:
-        join = self._joins[member.wid]
-        return WorkerFigures(
-            wid=member.wid,
-            host=join.host,
-            pid=join.pid,
-            state=member.state,
-            batches=len(member.batches),
-            rows=member.rows,
-            rate=0.0,
-            seconds=now - member.since,
-            seen=now - member.progress,
-            memory=0,
-            restarts=0,
-        )
 
     def withdraw(self, run: str) -> None:
         """Have nobody work on a run any more."""
