@@ -44,18 +44,22 @@ def answer(query: Query, payload: bytes, digest: str) -> bytes:
 
 
 def fetch(bus: Bus, job: str, digest: str) -> bytes:
-    """All bytes of a bundle, from the coordinator of a job.
+    """All bytes of a bundle, from the coordinator of a job; raises as `gather`."""
+    return gather(bus, Keys(job).asset(digest), digest)
+
+
+def gather(bus: Bus, key: str, digest: str) -> bytes:
+    """All bytes of a bundle, from whoever answers on `key`.
 
     Raises
     ------
     NoReply, Refused
-        The coordinator does not answer, or has no such scene.
+        Nobody answers there, or there is no such scene.
     TooLarge
         It is larger than a scene can be.
     MessageError
         What came is not the scene of that digest.
     """
-    key = Keys(job).asset(digest)
     first = codec.decode(bus.ask(key, parameters="i=0"), Chunk)
     if first.total * SIZE > codec.MAX_BUNDLE:
         raise TooLarge(first.total)

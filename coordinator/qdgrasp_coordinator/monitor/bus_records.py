@@ -1,0 +1,55 @@
+"""Records of jobs that go on: what their recorders answer."""
+
+import msgspec
+
+from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_coordinator.counts.entry import RunEntries
+from qdgrasp_coordinator.counts.finds import from_message
+from qdgrasp_coordinator.monitor.records import Page
+from qdgrasp_protocol import chunks, codec
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import MessageError, UnknownName
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import Finds
+
+
+class BusRecords:
+    """`Records` over the bus; a scene costs the recorder its answer, and the coordinator nothing."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+
+    def scene(self, job: str, run: str) -> Scene:
+        """Of the bundle that the recorder has."""
+        digest = self._digest(job, run)
+        return unpack_scene(chunks.gather(self._bus, Keys(job).recorded_asset(digest), digest))
+
+    def page(self, job: str, run: str, first: int) -> Page:
+        """One answer of the recorder's."""
+        payload = self._bus.ask(Keys(job).finds, parameters=f"run={run}&from={first}")
+        message = codec.decode(payload, Finds)
+        return Page(from_message(message), message.next, message.rows)
+
+    def name(self, job: str, run: str) -> str:
+        """Its name: in which folder it lies is not told on the bus."""
+        return run
+
+    def _digest(self, job: str, run: str) -> str:
+        """The scene of a run."""
+        known: list[str] = []
+        first: int | None = 0
+        while first is not None:
+            entries = self._entries(job, first)
+            for entry in entries.runs:
+                if entry.run == run:
+                    return entry.scene
+                known.append(entry.run)
+            first = entries.next if entries.next > first else None
+        raise UnknownName("run", run, known)
+
+    def _entries(self, job: str, first: int) -> RunEntries:
+        answer = self._bus.ask(Keys(job).entries, parameters=f"from={first}")
+        try:
+            return msgspec.json.decode(answer, type=RunEntries)
+        except msgspec.DecodeError as error:
+            raise MessageError(f"not a list of runs: {error}") from None
