@@ -17,9 +17,8 @@ def meanings(kind: type[Struct]) -> dict[str, str]:
 
 
 def _written(kind: type[Struct]) -> Iterator[tuple[str, str]]:
-    (definition,) = ast.parse(inspect.getsource(kind)).body
-    assert isinstance(definition, ast.ClassDef)
-    for field, below in pairwise(definition.body):
+    lines = [line for each in ast.parse(inspect.getsource(kind)).body for line in getattr(each, "body", ())]
+    for field, below in pairwise(lines):
         match field, below:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
                 yield name, " ".join(words.split())

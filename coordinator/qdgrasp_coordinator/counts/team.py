@@ -15,9 +15,9 @@ class WorkerFigures(Struct, frozen=True, kw_only=True):
     state: str
     """"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone"."""
     batches: int
-    """That it holds."""
+    """Batches that it holds."""
     rows: int
-    """That it has settled."""
+    """Rows that it has settled."""
     rate: float
     """Rows per second that it settled lately."""
     seconds: float

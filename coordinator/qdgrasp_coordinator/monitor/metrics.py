@@ -1,0 +1,219 @@
+"""The figures of jobs as metrics for Prometheus, named and typed by its conventions.
+
+Metrics of a job begin with `qdgrasp_job_`, those of a run with `qdgrasp_run_`, those of a worker with
+`qdgrasp_worker_`, so that nobody adds parts to their sum. What only grows is a counter and ends in `_total`;
+a unit stands before that. What comes from elsewhere is a label's value, never a name. What a metric means is
+written where its figure is defined (`counts`).
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from msgspec import Struct
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4, generate_latest
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
+
+from qdgrasp_coordinator.counts.events import Event
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta
+from qdgrasp_coordinator.counts.meanings import meanings
+from qdgrasp_coordinator.counts.team import WorkerFigures
+from qdgrasp_coordinator.monitor.jobs import JobView
+from qdgrasp_coordinator.monitor.ratchet import Ratchet
+
+MOST_RUNS = 256
+"""So many runs of a job have series of their own: those that were heard of last."""
+MOST_WORKERS = 512
+"""So many workers of a job have: those that joined first. `qdgrasp_workers` counts them all."""
+STATES = ("starting", "running", "paused", "ending", "silent", "gone", "ended")
+"""Of a job: see `JobView`. In the last three nobody speaks for it."""
+QUIET = STATES[4:]
+KIND = ("gripper", "object", "method", "protocol", "seed")
+"""What a run is named for."""
+TEAM = ("job", "host", "state")
+
+Family: TypeAlias = type[CounterMetricFamily] | type[GaugeMetricFamily]
+Samples: TypeAlias = Iterable[tuple[Sequence[str], float]]
+"""The values of a metric's labels, and its own."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A figure that is a metric."""
+
+    field: str
+    family: Family = CounterMetricFamily
+    name: str = ""
+    """Where it is not the field's."""
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What has figures: a job, a run or a worker."""
+
+    name: str
+    labels: tuple[str, ...]
+    figures: type[Struct]
+    shown: tuple[Shown, ...]
+
+    def metrics(self, found: Iterable[tuple[Sequence[str], Struct]]) -> Iterator[Metric]:
+        """A metric of each figure, with a sample for each that has it, given by the values of its labels."""
+        all_found, words = list(found), meanings(self.figures)
+        for one in self.shown:
+            samples = [(labels, float(getattr(figures, one.field))) for labels, figures in all_found]
+            name = f"{self.name}_{one.name or one.field}"
+            yield metric(one.family, name, words[one.field], self.labels, samples, one.unit)
+
+
+def metric(
+    family: Family, name: str, words: str, labels: Sequence[str], samples: Samples, unit: str = ""
+) -> Metric:
+    """A metric with its samples; `name` lacks what all have in common."""
+    found = family(f"qdgrasp_{name}", words, labels=labels, unit=unit)
+    for values, value in samples:
+        found.add_metric(values, value)
+    return found
+
+
+FOUND = (
+    Shown("evaluations"),
+    Shown("trials"),
+    Shown("simulated"),
+    Shown("proposals"),
+    Shown("overlaps"),
+    Shown("dead_ends"),
+    Shown("successes"),
+    Shown("grasps"),
+    Shown("robust"),
+    Shown("errors"),
+    Shown("cells", GaugeMetricFamily),
+    Shown("budget", GaugeMetricFamily, unit="evaluations"),
+)
+"""What jobs and runs have both."""
+JOB = Subject("job", ("job",), JobFigures, FOUND)
+TURN = Subject("job", ("job",), JobFigures, (
+    Shown("requeued", name="requeued_batches"),
+    Shown("strays", name="stray_results"),
+    Shown("waiting", GaugeMetricFamily, unit="rows"),
+    Shown("workers", GaugeMetricFamily),
+    Shown("recorders", GaugeMetricFamily),
+))  # fmt: skip
+"""What holds of a job while somebody speaks for it."""
+RUN = Subject("run", ("job", "run"), Figures, (
+    Shown("rows"),
+    Shown("durable", GaugeMetricFamily, unit="rows"),
+    *FOUND,
+))  # fmt: skip
+WORKER = Subject("worker", ("job", "worker", "host"), WorkerFigures, (
+    Shown("rows"),
+    Shown("batches", GaugeMetricFamily),
+    Shown("memory", GaugeMetricFamily, unit="bytes"),
+    Shown("seen", GaugeMetricFamily, "silent", "seconds"),
+    Shown("restarts", name="simulator_restarts"),
+))  # fmt: skip
+
+
+class Metrics:
+    """What a monitor tells Prometheus.
+
+    Counts go on where another coordinator goes on with a job: they do not fall by what its predecessor had
+    not recorded, nor while it opens the job's runs again one by one.
+    """
+
+    def __init__(self) -> None:
+        counts = [one.field for one in RUN.shown if one.family is CounterMetricFamily]
+        self._ratchet = Ratchet(["outcomes", *counts])
+
+    def text(self, views: Sequence[JobView]) -> tuple[bytes, str]:
+        """What is known of jobs, in the text format of Prometheus, and the content type of that."""
+        return generate_latest(Overview(self._ratchet.raised(views))), CONTENT_TYPE_PLAIN_0_0_4
+
+
+class Overview(Collector):
+    """What a monitor knows of jobs, as metrics."""
+
+    def __init__(self, views: Sequence[JobView]) -> None:
+        self._views = views
+        self._heard = [view for view in views if view.state not in QUIET]
+        self._runs = [((view.job, run.run), run) for view in views for run in view.runs[-MOST_RUNS:]]
+
+    def collect(self) -> Iterator[Metric]:
+        """All metrics: those of jobs, of runs, of workers."""
+        yield from self._turns()
+        yield from self._states()
+        yield from JOB.metrics(((view.job,), view.figures) for view in self._views)
+        yield from TURN.metrics(((view.job,), view.figures) for view in self._heard)
+        yield from self._kinds()
+        yield from RUN.metrics(self._runs)
+        yield self._team()
+        yield from WORKER.metrics(
+            ((view.job, each.wid, each.host), each)
+            for view in self._heard
+            for each in _members(view)[:MOST_WORKERS]
+        )
+
+    def _turns(self) -> Iterator[Metric]:
+        """Who carries the jobs out, since when."""
+        info = InfoMetricFamily("qdgrasp_job", "Who carries a job out.", labels=("job",))
+        for view in self._views:
+            info.add_metric((view.job,), {"host": view.meta.host, "version": view.meta.version})
+        yield info
+        words = meanings(JobMeta)
+        yield self._gauge("job_epoch", words["epoch"], lambda view: view.meta.epoch)
+        yield self._gauge(
+            "job_start_time", words["since"], lambda view: view.meta.since.timestamp(), "seconds"
+        )
+
+    def _states(self) -> Iterator[Metric]:
+        """How the jobs are."""
+        yield self._gauge(
+            "up", "Whether the job's coordinator is heard.", lambda view: view.state not in QUIET
+        )
+        words = "Whether something keeps the job from going on."
+        yield self._gauge("job_trouble", words, lambda view: bool(view.figures.obstacle))
+        states = [((view.job, state), float(view.state == state)) for view in self._views for state in STATES]
+        yield metric(GaugeMetricFamily, "job_state", "1 in the state that holds.", ("job", "state"), states)
+        runs = [((view.job, how), float(n)) for view in self._views for how, n in _runs(view.figures)]
+        yield metric(GaugeMetricFamily, "job_runs", "The job's runs by state.", ("job", "state"), runs)
+        events = [((view.job,), float(view.events[-1].number if view.events else 0)) for view in self._views]
+        yield metric(CounterMetricFamily, "job_events", meanings(Event)["number"], ("job",), events)
+
+    def _kinds(self) -> Iterator[Metric]:
+        """What the runs are, and how their evaluations end."""
+        info = InfoMetricFamily("qdgrasp_run", "What a run is.", labels=("job", "run"))
+        for labels, run in self._runs:
+            info.add_metric(labels, {name: str(getattr(run, name)) for name in KIND})
+        yield info
+        over = [(labels, float(bool(run.finished))) for labels, run in self._runs]
+        yield metric(GaugeMetricFamily, "run_finished", "Whether the run is over.", RUN.labels, over)
+        ends = [((*labels, how), float(n)) for labels, run in self._runs for how, n in run.outcomes.items()]
+        words = meanings(Figures)["outcomes"]
+        yield metric(CounterMetricFamily, "run_outcomes", words, (*RUN.labels, "outcome"), ends)
+
+    def _team(self) -> Metric:
+        """All workers, whatever their number."""
+        counts = Counter((view.job, each.host, each.state) for view in self._heard for each in _members(view))
+        samples = [(labels, float(n)) for labels, n in counts.items()]
+        words = meanings(WorkerFigures)["state"]
+        return metric(GaugeMetricFamily, "workers", f"Workers on a host: {words}", TEAM, samples)
+
+    def _gauge(self, name: str, words: str, value: Callable[[JobView], float], unit: str = "") -> Metric:
+        samples = [((view.job,), float(value(view))) for view in self._views]
+        return metric(GaugeMetricFamily, name, words, ("job",), samples, unit)
+
+
+def _members(view: JobView) -> list[WorkerFigures]:
+    """The workers of a job, each once: on its way to another page one may stand on both."""
+    return list({each.wid: each for each in view.workers}.values())
+
+
+def _runs(job: JobFigures) -> Iterator[tuple[str, int]]:
+    """How many of a job's runs are how."""
+    yield "open", job.runs_open
+    yield "done", job.runs_done
+    yield "failed", job.runs_failed
+    yield "waiting", max(0, job.runs - job.runs_open - job.runs_done - job.runs_failed)
