@@ -1,13 +1,13 @@
 """The recorder on the bus: takes settled rows, commits them in groups, and says what is durable.
 
-One thread does everything; callbacks of the bus only fill its inbox. What to do with what comes is decided
-in `Scribe`, and carried out here.
+One thread does everything but fetching scenes; callbacks of the bus and the fetcher only fill its inbox. What
+to do with what comes is decided in `Scribe`, and carried out here.
 """
 
 import secrets
 import time
 from concurrent.futures import Future
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -16,10 +16,11 @@ from queue import Empty, SimpleQueue
 import structlog
 
 from qdgrasp_coordinator.recording.books import Books
+from qdgrasp_coordinator.recording.fetcher import Fetched, Fetcher
 from qdgrasp_coordinator.recording.scribe import Scribe
-from qdgrasp_protocol import chunks, codec
+from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
-from qdgrasp_protocol.errors import BusError, DiskFull, MessageError, NoReply, Refused
+from qdgrasp_protocol.errors import DiskFull, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.messages import Recorded
@@ -38,6 +39,10 @@ class Question:
 
     query: Query
     answer: Future[bytes] = field(default_factory=Future)
+
+
+Event = Sample | Question | Fetched | None
+"""What reaches the recorder's one thread; None: look at the signals."""
 
 
 class RecorderService:
@@ -62,7 +67,8 @@ class RecorderService:
         self._keys = Keys(job)
         self._path = path
         self._disk_wait = disk_wait
-        self._inbox: SimpleQueue[Sample | Question | None] = SimpleQueue()
+        self._inbox: SimpleQueue[Event] = SimpleQueue()
+        self._fetcher = Fetcher(bus, job, self._inbox.put)
         self._fetch_at = 0.0
 
     def run(self) -> None:
@@ -111,12 +117,14 @@ class RecorderService:
         except Empty:
             return
 
-    def _take(self, event: Sample | Question | None, now: float) -> None:
+    def _take(self, event: Event, now: float) -> None:
         match event:
             case Question():
                 self._answer(event, now)
             case Sample():
                 self._scribe.take(event, now)
+            case Fetched(digest, payload):
+                self._store(digest, payload)
 
     def _ask(self, query: Query) -> bytes:
         """In a thread of the bus: hand the query over and wait for its answer."""
@@ -150,10 +158,8 @@ class RecorderService:
     def _fetch_scenes(self, now: float) -> None:
         """Fetch the bundles of runs that were begun without, once the coordinator shows them."""
         self._fetch_at = now + FETCH_INTERVAL
-        for digest in self._books.missing_scenes:
-            try:
-                self._books.add_scene(digest, chunks.fetch(self._bus, self._job, digest))
-            except (MessageError, Refused):
-                continue  # the coordinator is not there for this run now
-            except (BusError, DiskFull):
-                return  # the next try is soon
+        self._fetcher.begin(self._books.missing_scenes)
+
+    def _store(self, digest: str, payload: bytes) -> None:
+        with suppress(DiskFull):  # it is fetched again soon
+            self._books.add_scene(digest, payload)

@@ -8,11 +8,13 @@ from tests.coordinator.recording.recorded import (
     JOB,
     SCENE,
     SHAPE,
+    SOON,
     SPEC,
     Coordinator,
     make_rows,
     recording,
 )
+from tests.coordinator.serving.served import until
 
 from qdgrasp_coordinator.counts.stretch import Stretch, to_message
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -86,11 +88,34 @@ class TestOpening:
         with network.session() as bus, recording(network, tmp_path / "new"):
             bus.answer(Keys(JOB).asset(), lambda query: chunks.answer(query, SCENE, BUNDLE.digest))
             coordinator.open()
-            coordinator.hears_durable(0)
-            coordinator.page(0, 1)  # answered in the same thread, after the scene was fetched
-        folder = RunFolder.open(tmp_path / "new")
+            folder = RunFolder.open(tmp_path / "new")
+            until(folder.has_bundle)
         assert folder.bundle() == BUNDLE
         assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
+
+    def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
+        self, network: LocalNetwork, coordinator: Coordinator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        asked, may_answer, fetch = threading.Event(), threading.Event(), chunks.fetch
+
+        def slow(*question: object) -> bytes:
+            asked.set()
+            assert may_answer.wait(2 * SOON)
+            return fetch(*question)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(chunks, "fetch", slow)
+        with network.session() as bus:
+            bus.answer(Keys(JOB).asset(), lambda query: chunks.answer(query, SCENE, BUNDLE.digest))
+            with recording(network, tmp_path / "new"):
+                coordinator.open()
+                assert asked.wait(SOON)
+                coordinator.send(make_rows(30), 0, 30)
+                coordinator.hears_durable(30)
+            folder = RunFolder.open(tmp_path / "new")
+            assert not folder.has_bundle()
+            with recording(network, tmp_path / "new"):
+                may_answer.set()
+                until(folder.has_bundle)
 
 
 class TestRecording:
