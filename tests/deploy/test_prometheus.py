@@ -1,0 +1,164 @@
+"""Alert rules and dashboard: they ask for what a monitor tells, and Prometheus can read them."""
+
+import json
+import re
+import shutil
+import subprocess
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from msgspec import structs
+from prometheus_client.parser import text_string_to_metric_families
+from tests.coordinator.monitor.shown import run, values, views
+from tests.deploy.commands import DEPLOY
+
+from qdgrasp_coordinator.monitor.metrics import STATES, Metrics
+from qdgrasp_protocol.outcome import Outcome
+
+PROMETHEUS = DEPLOY / "prometheus"
+BOARD = json.loads((DEPLOY / "grafana" / "qdgrasp.json").read_text())
+RULES = yaml.safe_load((PROMETHEUS / "alerts.yml").read_text())["groups"][0]["rules"]
+PROMTOOL = shutil.which("promtool")
+needs_promtool = pytest.mark.skipif(
+    PROMTOOL is None, reason="promtool (Debian's package prometheus) is not here"
+)
+ASKED = re.compile(r"(qdgrasp_[a-z_]+)(?:\{(.*?)\})?")
+LABEL = re.compile(r"(\w+)(=~|=)\"(.*?)\"")
+GROUPING = re.compile(r"\b(?:by|on) \((.*?)\)")
+VARIABLES = {"$__rate_interval": "1m", "$job": ".*", "$run": ".*", "$host": ".*"}
+
+
+@pytest.fixture(scope="module")
+def told() -> dict[str, set[str]]:
+    """The labels of every metric that a monitor tells, by its name."""
+    (view,) = views(values())
+    whole = structs.replace(view, runs=[run("a", outcomes={one.name.lower(): 1 for one in Outcome})])
+    text = Metrics().text([whole])[0].decode()
+    samples = [sample for one in text_string_to_metric_families(text) for sample in one.samples]
+    return {sample.name: set(sample.labels) for sample in samples}
+
+
+def panels() -> list[dict[str, Any]]:
+    return [panel for panel in BOARD["panels"] if panel["type"] != "row"]
+
+
+def questions() -> Iterator[str]:
+    """All that dashboard and rules ask Prometheus for."""
+    yield from (rule["expr"] for rule in RULES)
+    yield from (target["expr"] for panel in panels() for target in panel["targets"])
+    yield from (note["expr"] for note in BOARD["annotations"]["list"])
+    yield from (one["definition"] for one in BOARD["templating"]["list"] if one["type"] == "query")
+
+
+@pytest.mark.parametrize("question", list(questions()))
+def test_what_is_asked_for_is_told(told: dict[str, set[str]], question: str) -> None:
+    for name, chosen in ASKED.findall(question):
+        assert name in told
+        assert {label for label, _, _ in LABEL.findall(chosen)} <= told[name]
+    labels = {each.strip() for group in GROUPING.findall(question) for each in group.split(",")}
+    assert labels <= set().union(*told.values())
+
+
+def test_states_and_outcomes_that_are_asked_for_can_be() -> None:
+    known = {
+        "state": {*STATES, "working", "idle", "stuck", "leaving", "gone"},
+        "outcome": {one.name.lower() for one in Outcome},
+    }
+    asked = [(label, value) for question in questions() for label, _, value in LABEL.findall(question)]
+    named = [(label, one) for label, value in asked if label in known for one in value.split("|")]
+    assert len(named) > 5
+    assert all(value in known[label] for label, value in named)
+
+
+def test_every_outcome_has_a_colour_of_its_own() -> None:
+    (panel,) = [panel for panel in panels() if panel["title"] == "Where evaluations end"]
+    colours = {
+        each["matcher"]["options"]: each["properties"][0]["value"]
+        for each in panel["fieldConfig"]["overrides"]
+    }
+    assert set(colours) == {one.name.lower() for one in Outcome}
+    assert len({colour["fixedColor"] for colour in colours.values()}) == len(Outcome)
+
+
+def test_a_dashboard_says_each_thing_once_and_where_it_comes_from() -> None:
+    ids = Counter(panel["id"] for panel in BOARD["panels"])
+    assert max(ids.values()) == 1
+    assert len({panel["title"] for panel in BOARD["panels"]}) == len(BOARD["panels"])
+    for panel in panels():
+        assert panel["description"]
+        assert panel["datasource"]["uid"] == "${datasource}"
+        refs = [target["refId"] for target in panel["targets"]]
+        assert len(set(refs)) == len(refs)
+    variables = [one["name"] for one in BOARD["templating"]["list"]]
+    assert variables == ["datasource", "job", "run", "host"]
+    asked = {word for question in questions() for word in re.findall(r"\$(\w+)", question)}
+    assert asked - {"__rate_interval", "labels", "value"} <= set(variables)
+
+
+def test_panels_lie_beside_one_another() -> None:
+    places = [panel["gridPos"] for panel in BOARD["panels"]]
+    squares = Counter(
+        (x, y)
+        for at in places
+        for x in range(at["x"], at["x"] + at["w"])
+        for y in range(at["y"], at["y"] + at["h"])
+    )
+    assert max(squares.values()) == 1
+    assert max(x for x, _ in squares) < 24
+
+
+def test_every_alert_waits_has_a_severity_and_says_what_is_the_matter() -> None:
+    for rule in RULES:
+        assert rule["alert"].startswith("Qdgrasp")
+        assert re.fullmatch(r"\d+m", rule["for"])
+        assert rule["labels"]["severity"] in ("warning", "critical")
+        assert set(rule["annotations"]) == {"summary", "description"}
+
+
+def test_every_alert_is_tested() -> None:
+    tests = yaml.safe_load((PROMETHEUS / "alerts_test.yml").read_text())["tests"]
+    fired = {
+        check["alertname"]
+        for test in tests
+        for check in test.get("alert_rule_test", [])
+        if check.get("exp_alerts")
+    }
+    counted = {
+        re.findall(r'alertname="(\w+)"', sample["labels"])[0]
+        for test in tests
+        for check in test.get("promql_expr_test", [])
+        for sample in check["exp_samples"]
+    }
+    assert fired | counted == {rule["alert"] for rule in RULES}
+
+
+def promtool(*arguments: str, folder: Path = PROMETHEUS) -> None:
+    done = subprocess.run([str(PROMTOOL), *arguments], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_promtool
+def test_promtool_takes_the_configuration_and_the_rules() -> None:
+    promtool("check", "config", "prometheus.yml")
+
+
+@needs_promtool
+def test_alerts_come_when_they_should() -> None:
+    promtool("test", "rules", "alerts_test.yml")
+
+
+@needs_promtool
+def test_promtool_can_read_what_the_dashboard_asks_for(tmp_path: Path) -> None:
+    rules = []
+    for number, question in enumerate(
+        question for question in questions() if not question.startswith("label_values")
+    ):
+        for name, value in VARIABLES.items():
+            question = question.replace(name, value)
+        rules.append({"record": f"panel{number}", "expr": question})
+    (tmp_path / "board.yml").write_text(yaml.safe_dump({"groups": [{"name": "board", "rules": rules}]}))
+    promtool("check", "rules", "board.yml", folder=tmp_path)
