@@ -1,0 +1,55 @@
+"""The library: where the page takes scenes and finds of runs from, over the bus or from a folder."""
+
+from typing import Protocol
+
+from qdgrasp_protocol.errors import UnknownName
+
+
+class Library(Protocol):
+    """Scenes and finds of runs, as the page's view in 3D reads them.
+
+    Its methods may take a while, and are called in threads.
+    """
+
+    def scene(self, job: str, run: str) -> bytes:
+        """JSON: the object, the hand's links and the bounds of a run.
+
+        Raises
+        ------
+        QdgraspError
+            There is no such run, or nobody answers.
+        """
+
+    def cells(self, job: str, run: str, since: int) -> bytes:
+        """The cells of a run that changed after its version `since`, packed as `voxels` says.
+
+        Raises
+        ------
+        QdgraspError
+            There is no such run, or nobody answers.
+        """
+
+    def grasp(self, job: str, run: str, number: int) -> bytes:
+        """JSON: all that is known of the find with this journal number.
+
+        Raises
+        ------
+        QdgraspError
+            There is no such run or find, or nobody answers.
+        """
+
+
+class NoLibrary:
+    """Where there is nothing to take finds from."""
+
+    def scene(self, job: str, run: str) -> bytes:
+        """There is none."""
+        raise UnknownName("run", run, ())
+
+    def cells(self, job: str, run: str, since: int) -> bytes:
+        """There are none."""
+        raise UnknownName("run", run, ())
+
+    def grasp(self, job: str, run: str, number: int) -> bytes:
+        """There is none."""
+        raise UnknownName("run", run, ())

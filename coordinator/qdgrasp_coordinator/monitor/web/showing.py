@@ -1,0 +1,158 @@
+"""What the page shows of jobs, as JSON: their state, told all the time, and their curves, when asked."""
+
+import threading
+import time
+from collections import Counter
+from typing import Protocol
+
+import msgspec
+from msgspec import Struct
+
+from qdgrasp_coordinator.counts.curve import Curve
+from qdgrasp_coordinator.counts.events import Event
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta
+from qdgrasp_coordinator.counts.team import WorkerFigures
+from qdgrasp_coordinator.monitor.jobs import JobView
+from qdgrasp_coordinator.monitor.metrics import Metrics
+from qdgrasp_coordinator.monitor.series import Series
+from qdgrasp_protocol.errors import UnknownName
+
+FRESH = 0.2  # seconds in which what was seen is not looked at again
+MOST_WORKERS = 512
+"""So many workers of a job are listed, those in trouble first; all are counted."""
+MOST_RUNS = 256
+"""So many runs of a job are listed, those that began last."""
+URGENCY = ("stuck", "gone", "leaving", "working", "idle")
+"""The states of workers, those in trouble first."""
+
+
+class Watched(Protocol):
+    """Whatever knows jobs."""
+
+    def views(self) -> list[JobView]:
+        """The jobs as they are now."""
+
+
+class Team(Struct, frozen=True, kw_only=True):
+    """The workers of a job."""
+
+    total: int
+    states: dict[str, int]
+    """How many are in which state."""
+    workers: list[WorkerFigures]
+    """At most `MOST_WORKERS` of them."""
+
+
+class JobState(Struct, frozen=True, kw_only=True):
+    """A job as the page is told of it twice a second."""
+
+    job: str
+    state: str
+    silent: float
+    """Seconds since its coordinator was heard."""
+    speed: float
+    """Counted evaluations per second lately."""
+    left: str
+    """The time left in words."""
+    obstacle: str
+    """What keeps it from going on, in words; empty: nothing does."""
+    meta: JobMeta
+    figures: JobFigures
+    runs: list[Figures]
+    """In progress, or ended while somebody watched; at most `MOST_RUNS`."""
+    speeds: dict[str, float]
+    """That of each run, by its name."""
+    lefts: dict[str, str]
+    """The time left of each run."""
+    team: Team
+    events: list[Event]
+
+    @classmethod
+    def of(cls, view: JobView) -> "JobState":
+        """That of a job."""
+        runs = view.runs[-MOST_RUNS:]
+        return cls(
+            job=view.job,
+            state=view.state,
+            silent=view.silent,
+            speed=_latest(view.history),
+            left=view.figures.left,
+            obstacle=view.figures.obstacle,
+            meta=view.meta,
+            figures=view.figures,
+            runs=runs,
+            speeds={one.run: _latest(view.histories[one.run]) for one in runs},
+            lefts={one.run: one.left for one in runs},
+            team=_team(view.workers),
+            events=view.events,
+        )
+
+
+class State(Struct, frozen=True, kw_only=True):
+    """What all browsers are told twice a second."""
+
+    at: float
+    """When, in seconds since 1970."""
+    jobs: list[JobState]
+
+
+class Curves(Struct, frozen=True, kw_only=True):
+    """How a job and its runs came to be as they are."""
+
+    history: Series
+    histories: dict[str, Series]
+    curves: dict[str, Curve]
+
+
+class Showing:
+    """What the page shows of the jobs that somebody knows."""
+
+    def __init__(self, watched: Watched) -> None:
+        self._watched = watched
+        self._metrics = Metrics()
+        self._lock = threading.Lock()
+        self._views: list[JobView] = []
+        self._looked = float("-inf")
+
+    def state(self) -> bytes:
+        """All jobs as they are now (`State`), as JSON in one line."""
+        jobs = [JobState.of(view) for view in self.views()]
+        return msgspec.json.encode(State(at=time.time(), jobs=jobs))
+
+    def curves(self, job: str) -> bytes:
+        """How a job and its runs came to be so (`Curves`), as JSON.
+
+        Raises
+        ------
+        UnknownName
+            There is no such job.
+        """
+        views = {view.job: view for view in self.views()}
+        if job not in views:
+            raise UnknownName("job", job, views)
+        view = views[job]
+        return msgspec.json.encode(Curves(history=view.history, histories=view.histories, curves=view.curves))
+
+    def metrics(self) -> tuple[bytes, str]:
+        """The same for Prometheus, and its content type."""
+        return self._metrics.text(self.views())
+
+    def views(self) -> list[JobView]:
+        """The jobs as they are now, or were a moment ago."""
+        with self._lock:
+            if time.monotonic() > self._looked + FRESH:
+                self._views, self._looked = self._watched.views(), time.monotonic()
+            return self._views
+
+
+def _latest(series: Series) -> float:
+    return series.rate[-1] if series.rate else 0.0
+
+
+def _team(workers: list[WorkerFigures]) -> Team:
+    shown = sorted(workers, key=lambda worker: URGENCY.index(worker.state) if worker.state in URGENCY else 0)
+    return Team(
+        total=len(workers),
+        states=dict(Counter(worker.state for worker in workers)),
+        workers=shown[:MOST_WORKERS] if len(workers) > MOST_WORKERS else workers,
+    )

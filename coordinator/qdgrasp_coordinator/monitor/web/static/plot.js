@@ -1,0 +1,101 @@
+// A plot: uPlot in the page's own colours, with a legend of words beside it that a cursor can be read from.
+
+import { element, keyed, put, say } from "./element.js";
+import { short } from "./words.js";
+
+export class Plot {
+  #plot = null;
+  #data = [[]];
+  #shape = "";
+
+  /** `across` and `up` say how numbers along the axes read; `timed`: across is a time in seconds since 1970. */
+  constructor(root, legend, { timed = false, across = short, up = short } = {}) {
+    Object.assign(this, { root, legend, timed, across, up });
+    this.series = [];
+    new ResizeObserver(() => this.#fit()).observe(root);
+    document.addEventListener("themechange", () => this.#draw());
+  }
+
+  /** `series`: [{ name, colour, width?, dash?, fill?, quiet? }], as many as columns in `data` but the first. */
+  show(series, data) {
+    this.#data = data;
+    const shape = JSON.stringify(series);
+    this.series = series;
+    if (shape !== this.#shape) {
+      this.#shape = shape;
+      this.#draw();
+    } else {
+      this.#plot?.setData(data);
+    }
+    this.#tell();
+  }
+
+  #draw() {
+    this.#plot?.destroy();
+    this.#plot = null;
+    const { width, height } = this.root.getBoundingClientRect();
+    if (!width || !this.series.length) return;
+    this.#plot = new uPlot(this.#options(width, height), this.#data, this.root);
+  }
+
+  #fit() {
+    const { width, height } = this.root.getBoundingClientRect();
+    if (this.#plot) this.#plot.setSize({ width, height });
+    else this.#draw();
+  }
+
+  #options(width, height) {
+    const style = getComputedStyle(document.documentElement);
+    const colour = (name) => style.getPropertyValue(`--${name}`).trim();
+    const axis = {
+      stroke: colour("faint"),
+      font: `12px ${style.fontFamily}`,
+      grid: { stroke: colour("rule"), width: 1 },
+      ticks: { show: false },
+    };
+    const x = { ...axis, gap: 6, size: 28, space: 72, grid: { show: false } };
+    if (!this.timed) x.values = (_, places) => places.map(this.across);
+    return {
+      width,
+      height,
+      padding: [10, 14, 0, 0],
+      legend: { show: false },
+      cursor: { y: false, points: { size: 6 }, focus: { prox: 24 }, drag: { x: false, y: false } },
+      focus: { alpha: 0.3 },
+      scales: { x: { time: this.timed }, y: { range: (_, low, high) => [0, high > 0 ? high * 1.06 : 1] } },
+      axes: [x, { ...axis, gap: 6, size: 52, space: 36, values: (_, places) => places.map(this.up) }],
+      series: [{}, ...this.series.map((each) => this.#line(each, colour))],
+      hooks: { setCursor: [() => this.#tell()] },
+    };
+  }
+
+  #line({ colour: name, width = 1.5, dash, fill }, colour) {
+    return {
+      stroke: colour(name),
+      width,
+      dash,
+      fill: fill ? colour(fill) : undefined,
+      points: { show: false },
+      spanGaps: true,
+    };
+  }
+
+  /** What the legend says: the figures under the cursor, or else the last ones. */
+  #tell() {
+    const [across, ...columns] = this.#data;
+    const under = this.#plot?.cursor.idx;
+    const place = under ?? across.length - 1;
+    const entries = this.series
+      .map((one, number) => ({ ...one, value: columns[number]?.[place] }))
+      .filter(({ quiet }) => !quiet);
+    const where = this.timed || across[place] === undefined ? null : this.across(across[place]);
+    keyed(this.legend, entries, ({ name }) => name, make, (node, { value }) => {
+      say(node.children[2], value == null ? "–" : this.up(value));
+    });
+    put(this.legend, "data-at", under == null ? null : where);
+  }
+}
+
+function make({ name, colour, dash }) {
+  return element("div", {}, element("i", { class: `line ${colour}${dash ? " dashed" : ""}` }), element("dt", {}, name), element("dd"));
+}

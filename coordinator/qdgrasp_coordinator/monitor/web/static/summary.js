@@ -1,0 +1,90 @@
+// The summary: what the job is, how far it is, and what it has found.
+
+import { element, keyed, put, say } from "./element.js";
+import { ago, count, percent, rate, several, short, span } from "./words.js";
+
+const WORDS = {
+  starting: "starting: no recorder has answered yet",
+  running: "running",
+  paused: "paused",
+  ending: "ending",
+  silent: "silent",
+  gone: "gone",
+  ended: "ended",
+};
+
+export class Summary {
+  constructor(find) {
+    this.find = find;
+  }
+
+  show(job, run, now) {
+    const subject = run ?? job.figures;
+    say(this.find("name"), run ? run.run : job.job);
+    this.#state(job, run);
+    this.#origin(job, run, now);
+    this.#progress(subject, run ? job.lefts[run.run] : job.left, isOver(job, run));
+    this.#figures(job, run, subject);
+    const trouble = this.find("trouble");
+    const words = (run && run.trouble) || job.obstacle;
+    say(trouble, words);
+    trouble.hidden = !words;
+  }
+
+  #state(job, run) {
+    const node = this.find("state");
+    const quiet = ["silent", "gone"].includes(job.state);
+    const state = run?.finished && !quiet ? "ended" : job.state;
+    put(node, "data-state", state);
+    say(node, quiet ? `${WORDS[state]}, last heard ${ago(job.silent)}` : run?.finished || WORDS[state] || state);
+  }
+
+  #origin(job, run, now) {
+    const { host, epoch, since, version } = job.meta;
+    const turn = `coordinator on ${host}, turn ${epoch}, up ${span(now - Date.parse(since) / 1000)}, version ${version}`;
+    const what = run && `${run.method} with ${run.gripper} on ${run.object}, seed ${run.seed}, protocol ${run.protocol}`;
+    say(this.find("origin"), what || turn);
+  }
+
+  #progress({ evaluations, budget, runs, runs_done, runs_failed }, left, over) {
+    const bar = this.find("progress");
+    bar.max = Math.max(1, budget);
+    bar.value = evaluations;
+    const all = runs > 1 ? `, ${count(runs_done)} of ${count(runs)} runs` : "";
+    const failed = runs_failed ? `, ${count(runs_failed)} failed` : "";
+    say(this.find("done"), `${count(evaluations)} of ${count(budget)} evaluations (${percent(evaluations, budget)})${all}${failed}`);
+    say(this.find("left"), over ? "" : left);
+  }
+
+  #figures(job, run, subject) {
+    const speed = isOver(job, run) || job.state === "silent" ? 0 : run ? job.speeds[run.run] : job.speed;
+    const figures = [
+      ["Evaluations/s", rate(speed ?? 0), `${rate(subject.rate ?? 0)} on average`],
+      ["Successes", short(subject.successes), percent(subject.successes, subject.evaluations)],
+      ["Cells", short(subject.cells), "of 1 cm with a success"],
+      ["Grasps", short(subject.grasps), "held through a shake or two"],
+      ["Robust", short(subject.robust), "held through both"],
+      ["Workers", short(job.figures.workers), several(Object.keys(hosts(job)).length, "host")],
+      ["To be recorded", short(job.figures.waiting), job.figures.recorders ? "rows not on disk yet" : "no recorder is there"],
+    ];
+    keyed(this.find("figures"), figures, ([name]) => name, make, (item, [name, number, note]) => {
+      const [term, value, remark] = item.children;
+      say(term, name);
+      say(value, number);
+      say(remark, note);
+    });
+  }
+}
+
+function make() {
+  return element("div", {}, element("dt"), element("dd"), element("dd", { class: "faint" }));
+}
+
+function isOver(job, run) {
+  return Boolean(run?.finished) || ["ended", "gone"].includes(job.state);
+}
+
+function hosts(job) {
+  const there = job.team.workers.filter((worker) => worker.state !== "gone");
+  return Object.groupBy ? Object.groupBy(there, (worker) => worker.host) : Object.fromEntries(there.map((each) => [each.host, each]));
+}

@@ -1,0 +1,36 @@
+// Workers: who works, how fast, and who is gone.
+
+import { say } from "./element.js";
+import { Table } from "./table.js";
+import { ago, bytes, count, rate, several } from "./words.js";
+
+const STATES = ["working", "idle", "stuck", "leaving", "gone"];
+const COLUMNS = [
+  { name: "host", title: "Host", value: ({ host, pid }) => `${host} ${pid}`, words: ({ host, pid }) => `${host} ${pid}` },
+  { name: "state", title: "State", value: ({ state }) => STATES.indexOf(state), words: ({ state }) => state },
+  { name: "rate", title: "Rows/s", number: true, value: (worker) => worker.rate, words: (worker) => rate(worker.rate) },
+  { name: "batches", title: "Leases", number: true, value: ({ batches }) => batches, words: ({ batches }) => count(batches) },
+  { name: "rows", title: "Rows", number: true, value: ({ rows }) => rows, words: ({ rows }) => count(rows) },
+  { name: "seen", title: "Last seen", number: true, value: ({ seen }) => seen, words: ({ seen }) => ago(seen) },
+  { name: "memory", title: "Memory", number: true, value: ({ memory }) => memory, words: ({ memory }) => bytes(memory) },
+  { name: "restarts", title: "Restarts", number: true, value: ({ restarts }) => restarts, words: ({ restarts }) => count(restarts) },
+];
+
+export class Workers {
+  constructor(find) {
+    this.words = find("workers-words");
+    this.table = new Table(find("workers"), COLUMNS, {
+      caption: "Workers; the buttons in the first row sort them",
+      key: ({ wid }) => wid,
+      sorted: "host",
+    });
+  }
+
+  show({ team }) {
+    const states = STATES.filter((state) => team.states[state]).map((state) => `${count(team.states[state])} ${state}`);
+    const unlisted = team.total - team.workers.length;
+    const rest = unlisted ? `; ${several(unlisted, "other")} not listed` : "";
+    say(this.words, team.total ? states.join(", ") + rest : "none has joined: start some with qdgrasp-worker");
+    this.table.show(team.workers, ({ state }) => state);
+  }
+}
