@@ -1,6 +1,7 @@
 """Pruning: a finished run without its failures; what all its rows came to stays."""
 
 import sqlite3
+import time
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,18 +20,23 @@ from qdgrasp_coordinator.keeping.reduction import rows_of, sources, write
 from qdgrasp_protocol.errors import FolderError
 
 PART = "run.sqlite.part"
+PATIENCE = 1.0  # seconds; whoever only looks at a run has its journal open for an instant
+INTERVAL = 0.05  # seconds between two tries
+PRIMARY = 0xFF
+"""The bits of SQLite's error codes that say what went wrong; those above say more of how."""
 
 
 def prune(folder: RunFolder) -> int:
     """Drop the failures of a finished run; gives the bytes that this freed.
 
-    The journal is replaced as a whole, or left as it was; whoever reads it meanwhile reads the old one.
+    The journal is replaced as a whole, or left as it was; one that is being read is waited for a little, and
+    whoever begins to read it after that reads the old one.
 
     Raises
     ------
     FolderError, DiskFull
-        The run is not finished, was pruned before, is in use, ranks poses by all of their trials, or its
-        folder cannot be written.
+        The run is not finished, was pruned before, is in use or being read, ranks poses by all of their
+        trials, or its folder cannot be written.
     """
     with folder.job.supervise(), folder.job.lock():
         return _pruned(folder)
@@ -75,8 +81,8 @@ def _pruned(folder: RunFolder) -> int:
     file, part = folder.path / FILE, folder.path / PART
     before = file.stat().st_size
     try:
-        write(part, identity, found, [(source, rows_of(folder, 0))])
         _settle(file)
+        write(part, identity, found, [(source, rows_of(folder, 0))])
         with disk.writing(folder.path):
             part.replace(file)
             disk.sync(folder.path)
@@ -93,6 +99,29 @@ def _check(folder: RunFolder, source: Source) -> None:
 
 
 def _settle(file: Path) -> None:
-    """Have all of a journal in its one file, so that another may take its place."""
+    """Have all of a journal in its one file, so that another may take its place.
+
+    Raises
+    ------
+    FolderError
+        It is being read, and that does not end soon.
+    """
+    deadline = time.monotonic() + PATIENCE
+    while not _is_settled(file):
+        if time.monotonic() > deadline:
+            raise FolderError(
+                f"{file} is being read by another process; nothing was changed: prune it when that is done."
+            )
+        time.sleep(INTERVAL)  # SQLite waits for nobody here
+
+
+def _is_settled(file: Path) -> bool:
+    """Whether nobody else had the file open, so that it could be settled."""
     with readable(file), fitting(file.parent), closing(sqlite3.connect(file)) as database:
-        database.execute("PRAGMA journal_mode = DELETE")
+        try:
+            database.execute("PRAGMA journal_mode = DELETE")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & PRIMARY != sqlite3.SQLITE_BUSY:
+                raise
+            return False
+    return True

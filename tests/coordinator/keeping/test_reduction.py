@@ -24,6 +24,7 @@ from qdgrasp_coordinator.folders.digest import digest
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
+from qdgrasp_coordinator.keeping import pruning
 from qdgrasp_coordinator.keeping.merging import merge
 from qdgrasp_coordinator.keeping.pruning import prune, prune_all
 from qdgrasp_coordinator.keeping.ranking import grasps
@@ -115,6 +116,25 @@ def test_a_run_that_is_not_finished_or_in_use_is_not_pruned(tmp_path, scene) -> 
     with run.job.lock(), pytest.raises(FolderError, match="in use"):
         prune(run)
     assert digest_of(run) == before
+
+
+def test_a_run_that_is_being_read_is_left_as_it_was(runs, monkeypatch) -> None:
+    run, *_ = runs
+    before = digest_of(run)
+    monkeypatch.setattr(pruning, "PATIENCE", 0.0)
+    with run.journal() as reader:
+        with pytest.raises(FolderError, match=r"run\.sqlite is being read by another process; nothing was"):
+            prune(run)
+        assert reader.count == N
+    assert digest_of(run) == before
+    assert not list(run.path.glob("*.part"))
+
+
+def test_a_run_that_is_read_for_a_moment_is_pruned_after_it(runs, monkeypatch) -> None:
+    run, *_ = runs
+    reader = run.journal()
+    monkeypatch.setattr(pruning.time, "sleep", lambda _: reader.close())
+    assert prune(run) > 0
 
 
 def test_a_full_disk_leaves_the_run_as_it_was(runs, monkeypatch) -> None:
