@@ -21,7 +21,8 @@ def merge(
     """Join the successes of runs of one scene, whatever their methods and seeds.
 
     The new folder is read like a run's: info, coverage, reference, rerank. It keeps what each run was, and
-    which rows are its own; a run that is named twice counts once. The runs stay as they are.
+    which rows are its own. A run that is named twice counts once, and so does one beside an earlier copy of
+    itself. The runs stay as they are.
 
     Example: qdgrasp merge runs/mug-s0 runs/mug-s1 --out runs/mug-all
     """
@@ -29,8 +30,11 @@ def merge(
         merge as merge_runs,  # the scene's libraries take their time
     )
 
-    found = merge_runs([RunFolder.open(directory) for directory in directories], out)
+    merged = merge_runs([RunFolder.open(directory) for directory in directories], out)
+    found = merged.summary
     if as_json:
-        typer.echo(json.dumps(msgspec.to_builtins(found)))
+        typer.echo(json.dumps(msgspec.to_builtins(found) | {"repeats": list(merged.repeats)}))
         return
+    for sentence in merged.repeats:
+        typer.echo(sentence)
     typer.echo(f"{found.words} {len(found.sources)} runs in {out}.")

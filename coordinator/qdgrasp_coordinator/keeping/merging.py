@@ -1,7 +1,7 @@
 """Merging: the successes of several runs of one scene in one folder, with what each came from.
 
 Nothing depends on the order in which runs are named: they stand by method, seed and digest. A run that is
-named twice, or is in two merged folders, is taken once.
+named twice, or is in two merged folders, is taken once, and so is a search that several of them record.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,11 +22,10 @@ from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder, files
 from qdgrasp_coordinator.folders.job_folder import LOGS, RUN, Job
 from qdgrasp_coordinator.folders.journal_format import FILE, Identity
-from qdgrasp_coordinator.folders.sources import Source
-from qdgrasp_coordinator.keeping.reduction import padded, rows_of, shape_of, sources, write
+from qdgrasp_coordinator.keeping.parts import Part, parts_of
+from qdgrasp_coordinator.keeping.reduction import rows_of, shape_of, write
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 from qdgrasp_protocol.trials import trials
 
@@ -39,24 +38,16 @@ MOST_EVALUATIONS = 10**9
 
 
 @dataclass(frozen=True)
-class Part:
-    """A run that is merged: where its rows are, and which of the sources there it is."""
+class Merged:
+    """What came of merging runs."""
 
-    folder: RunFolder
-    number: int
-    source: Source
-
-    @property
-    def order(self) -> tuple[str, int, str]:
-        """Where it stands among others."""
-        return self.source.asked.method, self.source.asked.seed, self.source.digest
-
-    def rows(self, shape: Shape) -> Iterator[Rows]:
-        """Its kept rows, in a shape that is as wide or wider."""
-        return (padded(rows, shape) for rows in rows_of(self.folder, self.number))
+    summary: Summary
+    """What they found together."""
+    repeats: tuple[str, ...]
+    """Which of them were left out because another one has what they have, a sentence each."""
 
 
-def merge(folders: Sequence[RunFolder], out: Path) -> Summary:
+def merge(folders: Sequence[RunFolder], out: Path) -> Merged:
     """Join the successes of runs of one scene in a new folder, that appears whole or not at all.
 
     Raises
@@ -67,7 +58,10 @@ def merge(folders: Sequence[RunFolder], out: Path) -> Summary:
         The runs are of different scenes, or one under a protocol with trials is not finished.
     """
     RunFolder.check_free(out)
-    parts = _parts(folders)
+    parts, repeats = parts_of(folders)
+    for part in parts:
+        _check_same_scene(parts[0], part)
+        _check_finished(part)
     shape, found = shape_of([part.folder for part in parts]), _found(parts)
     identity = Identity(RUN, to_toml(_spec(parts)), parts[0].source.scene, shape)
     disk.create(
@@ -78,17 +72,7 @@ def merge(folders: Sequence[RunFolder], out: Path) -> Summary:
             made / FILE, identity, found, ((part.source, part.rows(shape)) for part in parts)
         ),
     )
-    return found
-
-
-def _parts(folders: Sequence[RunFolder]) -> list[Part]:
-    """The runs in their order, each once."""
-    parts = [Part(folder, n, source) for folder in folders for n, source in enumerate(sources(folder))]
-    for part in parts:
-        _check_same_scene(parts[0], part)
-        _check_finished(part)
-    ordered = sorted(parts, key=lambda part: (part.order, part.source.run))
-    return list({part.order: part for part in reversed(ordered)}.values())[::-1]
+    return Merged(found, tuple(one.words for one in repeats))
 
 
 def _check_same_scene(one: Part, other: Part) -> None:

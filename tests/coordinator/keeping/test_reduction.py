@@ -167,7 +167,7 @@ def test_of_a_campaign_the_finished_runs_are_pruned(tmp_path, scene, runs) -> No
 
 
 def test_merged_runs_hold_the_successes_of_all_and_say_whose_they_are(tmp_path, runs) -> None:
-    found = merge(runs, tmp_path / "all")
+    found = merge(runs, tmp_path / "all").summary
     folder = RunFolder.open(tmp_path / "all")
     parts = [successes(rows_of(run)) for run in runs]
     assert rows_of(folder).tobytes() == b"".join(part.tobytes() for part in parts)
@@ -188,16 +188,63 @@ def test_merged_runs_hold_the_successes_of_all_and_say_whose_they_are(tmp_path, 
 def test_the_order_in_which_runs_are_named_does_not_matter_nor_whether_they_were_pruned_or_merged(
     tmp_path, runs
 ) -> None:
-    expected = merge(runs, tmp_path / "all")
+    expected = merge(runs, tmp_path / "all").summary
     content = rows_of(RunFolder(tmp_path / "all")).tobytes()
     for number, order in enumerate(itertools.permutations(runs)):
-        assert merge(order, tmp_path / f"all-{number}") == expected
+        assert merge(order, tmp_path / f"all-{number}").summary == expected
         assert rows_of(RunFolder(tmp_path / f"all-{number}")).tobytes() == content
     merge(runs[1:], tmp_path / "two")
     prune(runs[0])
-    again = merge([RunFolder(tmp_path / "two"), runs[0], runs[1], runs[0]], tmp_path / "again")
+    again = merge([RunFolder(tmp_path / "two"), runs[0], runs[1], runs[0]], tmp_path / "again").summary
     assert again == expected
     assert rows_of(RunFolder(tmp_path / "again")).tobytes() == content
+
+
+@pytest.mark.parametrize("rows", [0, 17, N - 1])
+def test_a_run_beside_its_own_beginning_counts_once_and_that_is_said(tmp_path, scene, runs, rows) -> None:
+    early = record(
+        tmp_path / "early", scene, random_rows(N, seed=0)[:rows], evaluations=N, overlaps="count", seed=0
+    )
+    alone = merge(runs, tmp_path / "all")
+    assert alone.repeats == ()
+    for number, order in enumerate(itertools.permutations([early, *runs[:2]])):
+        found = merge([*order, runs[2]], tmp_path / f"all-{number}")
+        assert found.summary == alone.summary
+        assert found.repeats == (
+            f"{early.path} records a part of the search that {runs[0].path} records: it counts once.",
+        )
+
+
+def test_a_search_counts_once_whatever_ended_it_and_whatever_was_pruned_or_merged(
+    tmp_path, scene, runs
+) -> None:
+    whole = runs[0]
+    sooner, early = (
+        record(
+            tmp_path / name,
+            scene,
+            random_rows(N, seed=0)[:rows],
+            evaluations=budget,
+            overlaps="count",
+            seed=0,
+        )
+        for name, rows, budget in (("sooner", 100, 100), ("early", 150, N))
+    )
+    prune(sooner)
+    merge([early, runs[1]], tmp_path / "two")
+    found = merge([RunFolder(tmp_path / "two"), sooner, whole], tmp_path / "all")
+    assert found.summary == merge(runs[:2], tmp_path / "expected").summary
+    said = f" records a part of the search that {whole.path} records: it counts once."
+    assert sorted(found.repeats) == sorted([f"'early' in {tmp_path / 'two'}{said}", f"{sooner.path}{said}"])
+
+
+def test_records_of_one_search_that_disagree_count_each(tmp_path, scene, runs) -> None:
+    rows = random_rows(N, seed=0)
+    rows["nu"][rows["outcome"] == Outcome.HELD] += 1e-6  # another machine
+    other = record(tmp_path / "other", scene, rows[:100], evaluations=N, overlaps="count", seed=0)
+    found = merge([runs[0], other], tmp_path / "all")
+    assert found.repeats == ()
+    assert found.summary.evaluations == N + 100
 
 
 def test_rows_of_priors_with_fewer_genes_are_filled_with_zeros(tmp_path, scene, runs, monkeypatch) -> None:
@@ -236,7 +283,7 @@ def test_a_merge_that_fails_leaves_nothing(tmp_path, runs) -> None:
 
 def test_unfinished_runs_are_merged_unless_successes_lack_trials(tmp_path, scene, runs) -> None:
     half = record(tmp_path / "half", scene, random_rows(40, seed=7), evaluations=N, seed=7)
-    assert not merge([runs[0], half], tmp_path / "all").complete
+    assert not merge([runs[0], half], tmp_path / "all").summary.complete
     robust = record(tmp_path / "robust", scene, random_rows(40), evaluations=N, protocol="robust")
     with pytest.raises(InputError, match="lack their trials"):
         merge([robust], tmp_path / "none")
@@ -270,4 +317,4 @@ def test_a_run_that_grows_while_it_is_merged_is_refused(tmp_path, scene, runs, m
     with pytest.raises(FolderError, match="'growing' grew while it was read; wait until it is done"):
         merge([growing, runs[0]], tmp_path / "all")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["growing", "run-0", "run-1", "run-2"]
-    assert merge([growing, runs[0]], tmp_path / "all").rows == 60 + N
+    assert merge([growing, runs[0]], tmp_path / "all").summary.rows == 60 + N
