@@ -136,6 +136,16 @@ def test_every_alert_is_tested() -> None:
     assert fired | counted == {rule["alert"] for rule in RULES}
 
 
+def test_the_page_about_watching_names_every_alert_and_every_metric(told: dict[str, set[str]]) -> None:
+    page = (DEPLOY.parent / "docs" / "watching.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `(Qdgrasp\w+)` \|", page, re.MULTILINE)) == {rule["alert"] for rule in RULES}
+    cells = re.findall(r"`(qdgrasp_[a-z_]*)(?:\{(.*?)\})?([a-z_.]*)`", page)
+    named = {f"{head}{part}{tail}" for head, parts, tail in cells for part in parts.split(",")}
+    stems = tuple(name.removesuffix("...") for name in named if name.endswith("..."))
+    assert {name for name in told if not name.startswith(stems)} <= named
+    assert {name for name in named if not name.endswith("...")} <= set(told)
+
+
 def promtool(*arguments: str, folder: Path = PROMETHEUS) -> None:
     done = subprocess.run([str(PROMTOOL), *arguments], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
