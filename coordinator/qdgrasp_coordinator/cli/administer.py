@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_coordinator.cli.asking import place, session
+from qdgrasp_coordinator.cli.asking import nobody, place, session
 from qdgrasp_coordinator.monitor.overview import overview
 from qdgrasp_protocol import codec, flags
 from qdgrasp_protocol.bus import Bus
@@ -90,5 +90,5 @@ def _nobody(bus: Bus, job: str, endpoint: str) -> InputError:
     """Why no coordinator of a job answers."""
     known = [view.meta.job for view in overview(bus)]
     if not known:
-        return InputError(f"No job is at {endpoint}: the router answers, but no coordinator does.")
+        return InputError(nobody(endpoint))
     return UnknownName("job", job, known)

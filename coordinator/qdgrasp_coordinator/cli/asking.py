@@ -28,6 +28,11 @@ def session(connect: str, security: Path | None, role: Role = Role.ADMIN) -> Ite
         yield bus
 
 
+def nobody(endpoint: str) -> str:
+    """What is said where there is no job."""
+    return f"No job is at {endpoint}: the router answers, but no coordinator does."
+
+
 def place(connect: str | None, security: Path | None) -> str:
     """The endpoint that was named, or the default one."""
     return connect or home(encrypted=security is not None).text

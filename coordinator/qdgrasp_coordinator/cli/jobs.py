@@ -1,11 +1,16 @@
 """`qdgrasp jobs`: what runs where, since when, and how far."""
 
+import json
+
+import msgspec
+import typer
+
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.asking import place, session
-from qdgrasp_coordinator.cli.monitor import show
-from qdgrasp_coordinator.monitor.overview import overview
+from qdgrasp_coordinator.cli.asking import nobody, place, session
+from qdgrasp_coordinator.monitor.overview import lines, overview, utc_now
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.credentials import Role
+from qdgrasp_protocol.printable import printable
 
 
 def jobs(
@@ -17,4 +22,11 @@ def jobs(
     """
     endpoint = place(connect, security)
     with session(endpoint, security, Role.MONITOR) as bus:
-        show(overview(bus), endpoint, as_json=as_json)
+        found = overview(bus)
+    if as_json:
+        typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
+    elif not found:
+        typer.echo(nobody(endpoint))
+    for job in () if as_json else found:
+        for line in lines(job, utc_now()):
+            typer.echo(printable(line))

@@ -1,19 +1,33 @@
 """`qdgrasp-monitor`: watches running jobs, on a terminal, as JSON, or on a page."""
 
 import json
+import logging
+from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Annotated
 
 import msgspec
 import typer
+from rich.console import Console
 
-from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.asking import place, session
+from qdgrasp_coordinator.cli.asking import PATIENCE, place
+from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.monitor.jobs import JobView
-from qdgrasp_coordinator.monitor.overview import lines, overview, utc_now
+from qdgrasp_coordinator.monitor.overview import overview
+from qdgrasp_coordinator.monitor.terminal.frame import Shown, sheet
+from qdgrasp_coordinator.monitor.terminal.glyphs import glyphs_of
+from qdgrasp_coordinator.monitor.terminal.keyboard import keyboard
+from qdgrasp_coordinator.monitor.terminal.screen import local_time, watch
 from qdgrasp_protocol import flags
+from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.command import run_command
-from qdgrasp_protocol.credentials import Role
-from qdgrasp_protocol.printable import printable
+from qdgrasp_protocol.credentials import Credentials, Role
+from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
+from qdgrasp_protocol.lifetime import Stop, lifetime
+from qdgrasp_protocol.logs import speak
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+INTERVAL = 1.0  # seconds between two looks in JSON
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -24,38 +38,102 @@ def monitor(
     security: flags.Security = None,
     job: Annotated[str | None, typer.Option(metavar="NAME", help="Watch this job only.")] = None,
     once: Annotated[bool, typer.Option("--once", help="Print one look, and end.")] = False,
-    as_json: options.Json = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print a JSON object in a line: with --once one, else one a second."),
+    ] = False,
     web: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve a page there, and metrics at /metrics.")
     ] = None,
     token: Annotated[
         str | None,
-        typer.Option(envvar="QDGRASP_TOKEN", help="What a browser must show; needed beyond loopback."),
+        typer.Option(
+            envvar="QDGRASP_TOKEN",
+            help="What a browser must show; beyond loopback there is always one, if need be a new one.",
+        ),
     ] = None,
+    wait: flags.Wait = PATIENCE,
 ) -> None:
-    """Watch running jobs; nothing is changed or slowed by it.
+    """Watch running jobs: how far they are, what they find, who works, and why evaluations fail.
+
+    Nothing is changed or slowed by it. On a terminal: q leaves, tab or a number takes another job; r, w and e
+    show all runs, workers and events.
 
     Example: qdgrasp-monitor --connect tcp/head:7447
     """
     endpoint = place(connect, security)
-    with session(endpoint, security, Role.MONITOR) as bus:
-        show(only(overview(bus), job), endpoint, as_json=as_json)
+    with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
+        speak("monitor", level=logging.INFO if web else logging.ERROR)
+        credentials = Credentials.find(security, Role.MONITOR)
+        bus = stack.enter_context(ZenohBus.connect(endpoint, wait, stop, credentials))
+        if once:
+            look(bus, endpoint, job, as_json=as_json)
+            return
+        feed = stack.enter_context(Feed(bus, job))
+        if web is not None:
+            serve(bus, feed, web, token or "", stop)
+        elif as_json:
+            stream(feed, endpoint, stop)
+        else:
+            watch(feed, endpoint, Console(), stop)
+    raise typer.Exit(stop.exit_code)
 
 
-def only(views: list[JobView], job: str | None) -> list[JobView]:
-    """The job that was named; where none was, all."""
-    return [view for view in views if job in (None, view.job)]
+def look(bus: Bus, endpoint: str, job: str | None, *, as_json: bool) -> None:
+    """Print one look at the jobs that there are.
 
-
-def show(views: list[JobView], endpoint: str, *, as_json: bool) -> None:
-    """Print one look at jobs."""
+    Raises
+    ------
+    UnknownName
+        There are some, but not the one that was named.
+    """
+    there = overview(bus)
+    views = [view for view in there if job in (None, view.job)]
+    if job and there and not views:
+        raise UnknownName("job", job, [view.job for view in there])
     if as_json:
-        typer.echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(views)}))
-    elif not views:
-        typer.echo(f"No job is at {endpoint}: the router answers, but no coordinator does.")
-    for view in () if as_json else views:
-        for line in lines(view, utc_now()):
-            typer.echo(printable(line))
+        typer.echo(to_json(views, endpoint))
+        return
+    console = Console(highlight=False)
+    for line in sheet(Shown(views, endpoint, local_time()), console.width, glyphs_of(console)):
+        console.print(line, soft_wrap=True)
+
+
+def stream(feed: Feed, endpoint: str, stop: Stop) -> None:
+    """Print a look at the jobs every second."""
+    with keyboard(stop) as heard:
+        while not stop.is_set:
+            heard.wait(INTERVAL)
+            typer.echo(to_json(feed.views(), endpoint))
+
+
+def serve(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
+    """Serve the page; what it needs is loaded for it alone."""
+    from qdgrasp_coordinator.monitor.bus_records import BusRecords
+    from qdgrasp_coordinator.monitor.web import app
+    from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
+
+    host, port = address(web)
+    app.serve(feed, Exhibits(BusRecords(bus)), host, port, token, stop)
+
+
+def address(text: str) -> tuple[str, int]:
+    """The host and the port in `127.0.0.1:8080` or `[::1]:8080`.
+
+    Raises
+    ------
+    ImpossibleValue
+        The text is not of that form.
+    """
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdecimal() and int(port) < 1 << 16):
+        raise ImpossibleValue("--web", text, "HOST:PORT, such as 127.0.0.1:8080")
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def to_json(views: Sequence[JobView], endpoint: str) -> str:
+    """All that is known of jobs in one line; names are those of the structs (docs/watching.md)."""
+    return json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(views)})
 
 
 def main() -> None:

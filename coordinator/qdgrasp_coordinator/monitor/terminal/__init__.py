@@ -1,0 +1,1 @@
+"""Jobs on a terminal: tables, curves and events that fit the room there is."""

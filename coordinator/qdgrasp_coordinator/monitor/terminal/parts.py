@@ -1,0 +1,181 @@
+"""The parts of what is shown of one job: how far it is, what it found, where evaluations end, its curves."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rich.text import Text
+
+from qdgrasp_coordinator.counts.figures import JobFigures
+from qdgrasp_coordinator.monitor.jobs import JobView
+from qdgrasp_coordinator.monitor.terminal.glyphs import Glyphs
+from qdgrasp_coordinator.monitor.terminal.lists import latest
+from qdgrasp_coordinator.monitor.terminal.plot import plot
+from qdgrasp_coordinator.monitor.terminal.table import Lines, fit
+from qdgrasp_coordinator.monitor.terminal.words import count, part, short, span
+
+COLOURS = ("bright_black", "red", "yellow", "magenta", "cyan", "green")
+"""Of the stages, beside what fills them."""
+AXIS = 5  # characters that the numbers beside a curve take
+
+
+class Drawing(NamedTuple):
+    """A curve that is to be drawn."""
+
+    title: str
+    places: Sequence[float]
+    values: Sequence[float]
+    first: str
+    """What stands below its beginning."""
+    last: str
+    colour: str
+
+
+def progress(view: JobView, width: int, glyphs: Glyphs) -> Text:
+    """How far the job is, as a bar."""
+    figures = view.figures
+    done = min(1.0, figures.evaluations / figures.budget) if figures.budget else 0.0
+    words = f" {100 * done:.0f} %  {figures.left if view.state not in ('gone', 'ended') else view.state}"
+    room = max(4, width - len(words))
+    full = int(done * room)
+    bar = Text(glyphs.full * full, style="green", no_wrap=True)
+    return bar.append(glyphs.empty * (room - full), style="dim").append(words, style="bold")
+
+
+def found(view: JobView, width: int, glyphs: Glyphs) -> Lines:
+    """What was evaluated and found, in two lines, and what is in the way, in a third."""
+    one = view.figures
+    runs = f"{one.runs_done} of {one.runs} runs{glyphs.between}" if one.runs > 1 else ""
+    lines = [
+        f"{runs}{count(one.evaluations)} of {count(one.budget)} evaluations{glyphs.between}"
+        f"{short(latest(view.history))}/s lately, {short(one.rate)}/s so far",
+        glyphs.between.join((
+            f"{count(one.successes)} successes ({part(one.successes, one.evaluations)})",
+            f"{count(one.cells)} cells",
+            f"{count(one.robust)} robust",
+            f"{count(one.errors)} errors",
+            *([f"{count(one.trials)} trials"] if one.trials else []),
+        )),
+    ]  # fmt: skip
+    told = [Text(fit(line, width, glyphs).rstrip()) for line in lines]
+    return [*told, Text(fit(*_hindrance(view, width, glyphs)).rstrip(), style=_hindrance_style(view))]
+
+
+def stages(view: JobView, width: int, glyphs: Glyphs) -> Lines:
+    """Where evaluations end: a bar, and what its parts mean."""
+    shares = [(name, number) for name, number in ends(view.figures).items()]
+    total = sum(number for _, number in shares)
+    bar = Text(no_wrap=True)
+    for wide, fill, colour in zip(
+        parted([number for _, number in shares], width), glyphs.stages, COLOURS, strict=True
+    ):
+        bar.append(fill * wide, style=colour)
+    return [bar, _legend(shares, total, width, glyphs)]
+
+
+def _legend(shares: Sequence[tuple[str, int]], total: int, width: int, glyphs: Glyphs) -> Text:
+    """What the parts of the bar mean, as widely spaced as there is room for."""
+    for apart, gap in ((" ", "  "), (" ", " "), ("", " ")):
+        legend = Text(gap, no_wrap=True).join(
+            Text.assemble((f"{fill}{apart}", colour), f"{name} {part(number, total).replace(' ', apart)}")
+            for (name, number), fill, colour in zip(shares, glyphs.stages, COLOURS, strict=True)
+        )
+        if legend.cell_len <= width:
+            return legend
+    legend.truncate(width)
+    return legend
+
+
+def ends(figures: JobFigures) -> dict[str, int]:
+    """How many of a job's genomes got how far, from worst to best."""
+    return {
+        "no pose": figures.dead_ends,
+        "overlap": figures.overlaps,
+        "no contact": max(0, figures.simulated - figures.successes),
+        "dropped": max(0, figures.successes - figures.grasps),
+        "shaken": max(0, figures.grasps - figures.robust),
+        "held": figures.robust,
+    }
+
+
+def parted(numbers: Sequence[int], width: int) -> list[int]:
+    """A width in parts that are as the numbers; whatever is not nothing has one at least, if that fits."""
+    total = sum(numbers)
+    if not total:
+        return [0] * len(numbers)
+    parts = [max(number > 0, width * number // total) for number in numbers]
+    parts[parts.index(max(parts))] += width - sum(parts)
+    return [max(0, wide) for wide in parts]
+
+
+def drawings(view: JobView) -> list[Drawing]:
+    """The curves of a job: of its one run from the beginning, of many since somebody watches."""
+    history = view.history
+    curve = view.curves.get(view.runs[-1].run) if view.runs and view.figures.runs == 1 else None
+    evaluations = [point.evaluations for point in curve.points] if curve else history.evaluations
+    cells = [point.cells for point in curve.points] if curve else history.cells
+    successes = [point.successes for point in curve.points] if curve else history.successes
+    ends = (count(evaluations[0]), f"{count(evaluations[-1])} evaluations") if evaluations else ("", "")
+    ago = f"{span(history.at[-1] - history.at[0])} ago" if history.at else ""
+    return [
+        Drawing("cells", evaluations, cells, *ends, "green"),
+        Drawing("successes", evaluations, successes, *ends, "cyan"),
+        Drawing("evaluations/s", history.at, history.rate, ago, "now", "yellow"),
+    ]
+
+
+def curves(view: JobView, width: int, height: int, glyphs: Glyphs) -> Lines:
+    """The curves side by side, in so many lines."""
+    shown = drawings(view)
+    wide = (width - 2 * (len(shown) - 1)) // len(shown)
+    pictures = [_picture(one, wide, height, glyphs) for one in shown]
+    return [Text("  ", no_wrap=True).join(line) for line in zip(*pictures, strict=True)]
+
+
+def _picture(one: Drawing, width: int, height: int, glyphs: Glyphs) -> Lines:
+    """A title with the newest value, the curve with its scale, and from where to where it goes."""
+    most = max(one.values, default=0)
+    has_feet = height >= 6  # lines
+    room, rows = width - AXIS - 1, max(1, height - 1 - has_feet)
+    newest = short(one.values[-1]) if len(one.values) else "-"
+    lines = [Text(fit(f"{' ' * (AXIS + 1)}{one.title} {newest}", width, glyphs), style="bold")]
+    for number, line in enumerate(plot(one.places, one.values, room, rows, most, glyphs)):
+        scale = short(most) if number == 0 else "0" if number == rows - 1 else ""
+        axis = Text(f"{fit(scale, AXIS, glyphs, 'right')} ", style="dim")
+        lines.append(axis.append(fit(line, room, glyphs), style=one.colour))
+    if has_feet:
+        gap = max(1, room - len(one.first) - len(one.last))
+        foot = fit(f"{' ' * (AXIS + 1)}{one.first}{' ' * gap}{one.last}", width, glyphs)
+        lines.append(Text(foot, style="dim"))
+    return lines
+
+
+def _hindrance(view: JobView, width: int, glyphs: Glyphs) -> tuple[str, int, Glyphs]:
+    return hindrance(view, glyphs), width, glyphs
+
+
+def hindrance(view: JobView, glyphs: Glyphs) -> str:
+    """What keeps a job from going on and what to do; where nothing does, how far the recorder is."""
+    one = view.figures
+    words = {
+        "gone": f"its coordinator is gone since {span(view.silent)}: `qdgrasp resume DIR` goes on",
+        "silent": f"nothing was heard of it for {span(view.silent)}: what is shown is what was heard last",
+        "ended": "it has ended",
+        "paused": f"paused until `qdgrasp continue {view.job}`",
+    }
+    if view.state in ("gone", "silent", "ended"):
+        return words[view.state]
+    if one.obstacle:
+        return f"waits: {glyphs.text(one.obstacle)}"
+    recorder = f"{count(one.waiting)} rows not on disk yet" if one.waiting else "all on disk"
+    told = [
+        words.get(view.state, ""),
+        recorder if one.recorders else "no recorder is there: rows wait for one",
+    ]
+    told += [f"{count(one.requeued)} batches given again"] if one.requeued else []
+    told += [f"{count(one.strays)} results dropped"] if one.strays else []
+    return glyphs.between.join(filter(None, told))
+
+
+def _hindrance_style(view: JobView) -> str:
+    is_bad = view.state in ("gone", "silent", "paused") or view.figures.obstacle or not view.figures.recorders
+    return "bold yellow" if is_bad and view.state != "ended" else "dim"

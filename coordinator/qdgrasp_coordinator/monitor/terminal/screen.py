@@ -1,0 +1,84 @@
+"""The screen: what the feed knows, drawn again and again until somebody leaves."""
+
+from datetime import UTC, datetime
+from typing import Protocol
+
+from rich.console import Console, Group
+from rich.live import Live
+
+from qdgrasp_coordinator.monitor.jobs import JobView
+from qdgrasp_coordinator.monitor.overview import lines, utc_now
+from qdgrasp_coordinator.monitor.terminal.choice import LEAVE, Choice
+from qdgrasp_coordinator.monitor.terminal.frame import Shown, frame, nothing, page
+from qdgrasp_coordinator.monitor.terminal.glyphs import Glyphs, glyphs_of
+from qdgrasp_coordinator.monitor.terminal.keyboard import Keyboard, keyboard
+from qdgrasp_protocol.lifetime import Stop
+
+INTERVAL = 0.5  # seconds between two pictures
+QUIET_INTERVAL = 5.0  # seconds between two looks where nothing can be drawn
+
+
+class Watched(Protocol):
+    """Whatever knows jobs."""
+
+    def views(self) -> list[JobView]:
+        """The jobs as they are now."""
+
+    @property
+    def is_linked(self) -> bool:
+        """False while there is no way to the router."""
+
+    @property
+    def strangers(self) -> list[str]:
+        """Jobs of another version."""
+
+
+def watch(feed: Watched, endpoint: str, console: Console, stop: Stop) -> None:
+    """Show jobs until a key or a signal ends it."""
+    with keyboard(stop) as heard:
+        draws = console.is_terminal and not console.is_dumb_terminal
+        (draw if draws else tell)(feed, endpoint, console, heard, stop)
+
+
+def draw(feed: Watched, endpoint: str, console: Console, heard: Keyboard, stop: Stop) -> None:
+    """Draw the whole terminal twice a second, and after each key."""
+    glyphs, choice = glyphs_of(console), Choice()
+    with Live(
+        console=console, screen=True, auto_refresh=False, redirect_stderr=False, redirect_stdout=False
+    ) as live:
+        while not stop.is_set:
+            shown, (width, height) = look(feed, endpoint), console.size
+            live.update(Group(*frame(shown, choice, width, height, glyphs)), refresh=True)
+            for key in heard.wait(INTERVAL):
+                if key in LEAVE:
+                    return
+                choice = choice.pressed(key, shown.names, page(shown, choice, width, height, glyphs))
+
+
+def tell(feed: Watched, endpoint: str, console: Console, heard: Keyboard, stop: Stop) -> None:
+    """Tell how far the jobs are, every few seconds: for terminals that cannot be drawn on, and for files."""
+    glyphs = glyphs_of(console)
+    heard.wait(INTERVAL)  # until something was heard
+    while not stop.is_set:
+        for line in told(look(feed, endpoint), console.width, glyphs):
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+        heard.wait(QUIET_INTERVAL)
+
+
+def told(shown: Shown, width: int, glyphs: Glyphs) -> list[str]:
+    """All jobs in lines of words."""
+    if not shown.is_linked:
+        return ["The router is away; it is sought until it is back."]
+    if not shown.views:
+        return [line.plain for line in nothing(shown, width, glyphs)]
+    return [glyphs.text(line) for view in shown.views for line in lines(view, utc_now())]
+
+
+def look(feed: Watched, endpoint: str) -> Shown:
+    """What there is to see now."""
+    return Shown(feed.views(), endpoint, local_time(), is_linked=feed.is_linked, strangers=feed.strangers)
+
+
+def local_time() -> datetime:
+    """What time it is for whoever sits here."""
+    return datetime.now(UTC).astimezone()
