@@ -15,7 +15,7 @@ from qdgrasp_coordinator.monitor.jobs import Jobs, JobView
 from qdgrasp_protocol.keys import Keys
 
 BUDGET = 20_000
-STEP = 180
+STEP = 60
 
 
 class FakeFeed:

@@ -3,6 +3,7 @@
 import { Choice } from "./choice.js";
 import { Curves } from "./curves.js";
 import { say } from "./element.js";
+import { Entries } from "./entries.js";
 import { Events } from "./events.js";
 import { Grasps } from "./grasps.js";
 import { JobList } from "./joblist.js";
@@ -16,6 +17,7 @@ import { Workers } from "./workers.js";
 const API = "api";
 const find = (id) => document.getElementById(id);
 const choice = new Choice(show);
+const entries = new Entries(API, show);
 const list = new JobList(find("jobs"));
 const panels = [Summary, Runs, Curves, Outcomes, Workers, Events, Grasps].map((Panel) => new Panel(find, API));
 const link = new Link(find("link"));
@@ -29,7 +31,8 @@ function chosen(jobs) {
 
 function show() {
   if (!state) return;
-  const job = chosen(state.jobs);
+  const told = chosen(state.jobs);
+  const job = told && { ...told, runs: entries.of(told) };
   const run = job?.runs.find((each) => each.run === choice.run) ?? null;
   list.show(state.jobs, job?.job);
   find("empty").hidden = Boolean(job);

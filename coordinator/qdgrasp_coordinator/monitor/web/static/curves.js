@@ -1,23 +1,24 @@
 // Curves: what was found over evaluations, and how fast. Asked for now and then; the newest point is in the state.
 
 import { Plot } from "./plot.js";
-import { rate } from "./words.js";
+import { count, rate } from "./words.js";
 
 const SECONDS = 5; // between two questions for curves
 const MOST_LINES = 32; // runs that are drawn side by side
-const FOUND = [
+const CELLS = [{ name: "Cells", colour: "accent", width: 2, fill: "wash" }];
+const SUCCESSES = [
   { name: "Successes", colour: "faint" },
-  { name: "Cells", colour: "accent", width: 2, fill: "wash" },
   { name: "Robust", colour: "ink", dash: [5, 4] },
 ];
-const SPEED = [{ name: "Evaluations/s", colour: "accent", width: 1.5, fill: "wash" }];
+const SPEED = [{ name: "Evaluations/s", colour: "accent", fill: "wash" }];
 
 export class Curves {
   constructor(find, api) {
     this.api = api;
-    this.found = new Plot(find("found"), find("found-legend"));
-    this.speed = new Plot(find("speed"), find("speed-legend"), { timed: true, up: (number) => (number < 10 ? rate(number) : rate(Math.round(number))) });
-    this.title = find("found-title");
+    const plot = (name, looks) => new Plot(find(name), find(`${name}-legend`), looks);
+    this.cells = plot("cells");
+    this.successes = plot("successes");
+    this.speed = plot("speed", { timed: true, up: speed });
     this.job = "";
     this.asked = -Infinity;
     this.curves = null;
@@ -46,30 +47,34 @@ export class Curves {
   }
 
   #found(job, run, { curves }) {
-    if (run) this.found.show(FOUND, oneRun(curves[run.run]?.points ?? [], run));
-    else this.found.show(...allRuns(job.runs.slice(-MOST_LINES), curves));
+    const runs = run ? [run] : job.runs.slice(-MOST_LINES);
+    const courses = runs.map((one) => course(curves[one.run]?.points ?? [], one));
+    const [done, cells, successes, robust] = run ? courses[0] : [];
+    this.cells.show(...(run ? [CELLS, [done, cells]] : beside(runs, courses, 1)));
+    this.successes.show(...(run ? [SUCCESSES, [done, successes, robust]] : beside(runs, courses, 2)));
   }
 
   #speed(job, run, { history, histories }, now) {
     const { at, rate: speeds } = run ? (histories[run.run] ?? { at: [], rate: [] }) : history;
     const latest = run ? job.speeds[run.run] : job.speed;
-    const goes = job.state === "running" && !run?.finished;
-    this.speed.show(SPEED, goes ? [[...at, Math.max(now, at.at(-1) ?? 0)], [...speeds, latest]] : [at, speeds]);
+    const goes = job.state === "running" && !run?.finished && now > (at.at(-1) ?? 0);
+    this.speed.show(SPEED, goes ? [[...at, now], [...speeds, latest]] : [at, speeds]);
   }
 }
 
-function oneRun(points, { evaluations, successes, cells, robust }) {
-  const known = points.filter(([done]) => done < evaluations);
-  const rows = [[0, 0, 0, 0, 0], ...known, [evaluations, 0, successes, cells, robust]];
-  return [0, 2, 3, 4].map((column) => rows.map((row) => row[column]));
+function speed(number) {
+  return Number.isInteger(number) ? count(number) : rate(number);
 }
 
-/** The cells of each run as a line of its own. */
-function allRuns(runs, curves) {
-  const series = runs.map(({ run }) => ({ name: run, colour: "accent", width: 1, quiet: true }));
-  const tables = runs.map((run) => {
-    const [done, , cells] = oneRun(curves[run.run]?.points ?? [], run);
-    return [done, cells];
-  });
-  return [series, tables.length ? uPlot.join(tables) : [[]]];
+/** Evaluations, cells, successes and robust ones of a run from its beginning until now. */
+function course(points, { evaluations, successes, cells, robust }) {
+  const known = points.filter(([done]) => done < evaluations);
+  const rows = [[0, 0, 0, 0, 0], ...known, [evaluations, 0, successes, cells, robust]];
+  return [0, 3, 2, 4].map((column) => rows.map((row) => row[column]));
+}
+
+/** One column of several courses, each as a line that is named when a cursor is near. */
+function beside(runs, courses, column) {
+  const series = runs.map(({ run }) => ({ name: run, colour: "accent", width: 1, isOneOfMany: true }));
+  return [series, courses.length ? uPlot.join(courses.map((each) => [each[0], each[column]])) : [[]]];
 }

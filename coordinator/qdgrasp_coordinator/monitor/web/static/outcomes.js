@@ -9,9 +9,9 @@ const OUTCOMES = [
   ["overlap", "Overlap", "the open hand is inside the object"],
   ["missed", "Missed", "no finger touched it while closing"],
   ["brushed", "Brushed", "touched while closing, not after"],
-  ["dropped", "Dropped", "touched, lost in the first shake"],
-  ["shaken", "Shaken", "held through one shake"],
-  ["held", "Held", "held through both: robust"],
+  ["dropped", "Dropped", "touched; no shake survived"],
+  ["shaken", "Shaken", "one shake survived"],
+  ["held", "Held", "both survived: robust"],
 ];
 
 export class Outcomes {

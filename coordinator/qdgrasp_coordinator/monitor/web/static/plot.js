@@ -1,12 +1,13 @@
 // A plot: uPlot in the page's own colours, with a legend of words beside it that a cursor can be read from.
 
 import { element, keyed, put, say } from "./element.js";
-import { short } from "./words.js";
+import { short, time } from "./words.js";
 
 export class Plot {
   #plot = null;
   #data = [[]];
   #shape = "";
+  #near = null; // the number of the line near the cursor
 
   /** `across` and `up` say how numbers along the axes read; `timed`: across is a time in seconds since 1970. */
   constructor(root, legend, { timed = false, across = short, up = short } = {}) {
@@ -16,7 +17,7 @@ export class Plot {
     document.addEventListener("themechange", () => this.#draw());
   }
 
-  /** `series`: [{ name, colour, width?, dash?, fill?, quiet? }], as many as columns in `data` but the first. */
+  /** `series`: [{ name, colour, width?, dash?, fill?, isOneOfMany? }], as many as columns in `data` but the first. */
   show(series, data) {
     this.#data = data;
     const shape = JSON.stringify(series);
@@ -54,19 +55,27 @@ export class Plot {
       ticks: { show: false },
     };
     const x = { ...axis, gap: 6, size: 28, space: 72, grid: { show: false } };
-    if (!this.timed) x.values = (_, places) => places.map(this.across);
+    x.values = (_, places) => this.#across(places);
     return {
       width,
       height,
-      padding: [10, 14, 0, 0],
+      padding: [10, 22, 0, 0],
       legend: { show: false },
       cursor: { y: false, points: { size: 6 }, focus: { prox: 24 }, drag: { x: false, y: false } },
       focus: { alpha: 0.3 },
       scales: { x: { time: this.timed }, y: { range: (_, low, high) => [0, high > 0 ? high * 1.06 : 1] } },
       axes: [x, { ...axis, gap: 6, size: 52, space: 36, values: (_, places) => places.map(this.up) }],
       series: [{}, ...this.series.map((each) => this.#line(each, colour))],
-      hooks: { setCursor: [() => this.#tell()] },
+      hooks: {
+        setCursor: [() => this.#tell()],
+        setSeries: [(_, number, { focus }) => (this.#near = focus ? number : null)],
+      },
     };
+  }
+
+  #across(places) {
+    const step = places.length > 1 ? places[1] - places[0] : 1;
+    return places.map((place) => (this.timed ? time(new Date(1000 * place)).slice(0, step % 60 ? 8 : 5) : this.across(place)));
   }
 
   #line({ colour: name, width = 1.5, dash, fill }, colour) {
@@ -82,18 +91,28 @@ export class Plot {
 
   /** What the legend says: the figures under the cursor, or else the last ones. */
   #tell() {
-    const [across, ...columns] = this.#data;
+    const across = this.#data[0];
     const under = this.#plot?.cursor.idx;
     const place = under ?? across.length - 1;
-    const entries = this.series
-      .map((one, number) => ({ ...one, value: columns[number]?.[place] }))
-      .filter(({ quiet }) => !quiet);
-    const where = this.timed || across[place] === undefined ? null : this.across(across[place]);
-    keyed(this.legend, entries, ({ name }) => name, make, (node, { value }) => {
+    keyed(this.legend, this.#entries(place), ({ name }) => name, make, (node, { value }) => {
       say(node.children[2], value == null ? "–" : this.up(value));
     });
-    put(this.legend, "data-at", under == null ? null : where);
+    const where = under == null ? "" : this.timed ? time(new Date(1000 * across[place])) : this.across(across[place]);
+    put(this.legend, "data-at", where || null);
   }
+
+  #entries(place) {
+    const values = this.#data.slice(1).map((column) => last(column, place));
+    const entries = this.series.map((one, number) => ({ ...one, value: values[number] }));
+    if (!this.series[0]?.isOneOfMany) return entries;
+    const near = entries[this.#near - 1];
+    return [near ?? { name: `most of ${entries.length} runs`, colour: "accent", value: Math.max(...values.map((value) => value ?? 0)) }];
+  }
+}
+
+function last(column, place) {
+  while (place > 0 && column[place] == null) place -= 1;
+  return column[place];
 }
 
 function make({ name, colour, dash }) {

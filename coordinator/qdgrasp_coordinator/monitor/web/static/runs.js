@@ -5,7 +5,6 @@ import { put, say } from "./element.js";
 import { Table } from "./table.js";
 import { count, percent } from "./words.js";
 
-const SECONDS = 20; // between two looks for runs that ended before anybody watched
 const COLUMNS = [
   { name: "run", title: "Run", value: ({ run }) => run, words: ({ run }) => run, link: ({ job, run }) => Choice.address(job, run) },
   { name: "done", title: "Done", number: true, value: ({ evaluations, budget }) => evaluations / budget, words: (run) => (run.finished ? "finished" : percent(run.evaluations, run.budget)) },
@@ -16,11 +15,10 @@ const COLUMNS = [
 ];
 
 export class Runs {
-  constructor(find, api) {
+  constructor(find) {
     this.panel = find("runs-panel");
     this.words = find("runs-words");
     this.all = find("all-runs");
-    this.api = api;
     this.table = new Table(find("runs"), COLUMNS, {
       caption: "Runs of the job; the buttons in the first row sort them",
       key: ({ run }) => run,

@@ -58,16 +58,19 @@ export class Summary {
 
   #figures(job, run, subject) {
     const speed = isOver(job, run) || job.state === "silent" ? 0 : run ? job.speeds[run.run] : job.speed;
+    const share = (number) => `${percent(number, subject.evaluations)} of all`;
     const figures = [
       ["Evaluations/s", rate(speed ?? 0), `${rate(subject.rate ?? 0)} on average`],
-      ["Successes", short(subject.successes), percent(subject.successes, subject.evaluations)],
-      ["Cells", short(subject.cells), "of 1 cm with a success"],
-      ["Grasps", short(subject.grasps), "held through a shake or two"],
-      ["Robust", short(subject.robust), "held through both"],
-      ["Workers", short(job.figures.workers), several(Object.keys(hosts(job)).length, "host")],
-      ["To be recorded", short(job.figures.waiting), job.figures.recorders ? "rows not on disk yet" : "no recorder is there"],
+      ["Successes", short(subject.successes), share(subject.successes), "a finger touches the object after closing"],
+      ["Grasps", short(subject.grasps), share(subject.grasps), "at least one shake survived"],
+      ["Robust", short(subject.robust), share(subject.robust), "both shakes survived"],
+      ["Cells", short(subject.cells), "of 1 cm", "distinct cells with a success"],
+      ["Workers", short(job.figures.workers), `on ${several(hosts(job), "host")}`],
+      ["Errors", short(subject.errors), `${count(job.figures.requeued)} requeued`, "rows given up, and batches queued again"],
+      ["Waiting", short(job.figures.waiting), job.figures.recorders ? "rows for the disk" : "no recorder", "rows not on disk yet"],
     ];
-    keyed(this.find("figures"), figures, ([name]) => name, make, (item, [name, number, note]) => {
+    keyed(this.find("figures"), figures, ([name]) => name, make, (item, [name, number, note, meaning]) => {
+      put(item, "title", meaning ?? null);
       const [term, value, remark] = item.children;
       say(term, name);
       say(value, number);
@@ -84,7 +87,6 @@ function isOver(job, run) {
   return Boolean(run?.finished) || ["ended", "gone"].includes(job.state);
 }
 
-function hosts(job) {
-  const there = job.team.workers.filter((worker) => worker.state !== "gone");
-  return Object.groupBy ? Object.groupBy(there, (worker) => worker.host) : Object.fromEntries(there.map((each) => [each.host, each]));
+function hosts({ team }) {
+  return new Set(team.workers.filter(({ state }) => state !== "gone").map(({ host }) => host)).size;
 }

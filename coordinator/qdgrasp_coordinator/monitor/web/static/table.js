@@ -61,8 +61,9 @@ export class Table {
     return element(
       "tr",
       {},
-      ...this.columns.map(({ number, link }, place) => {
-        const cell = element(place ? "td" : "th", { class: number ? "number" : null, scope: place ? null : "row" });
+      ...this.columns.map(({ name, number, link }, place) => {
+        const shown = { class: number ? "number" : null, "data-name": name, scope: place ? null : "row" };
+        const cell = element(place ? "td" : "th", shown);
         if (link) cell.append(element("a"));
         return cell;
       }),
