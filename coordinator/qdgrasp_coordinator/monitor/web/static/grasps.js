@@ -1,6 +1,8 @@
 // Grasps: the view in 3D of what a run has found, and all that is known of the grasp that somebody chose in it.
 
-import { element, put, say } from "./element.js";
+import { say } from "./element.js";
+import { Card } from "./scene/card.js";
+import { Key } from "./scene/key.js";
 
 export class Grasps {
   #view = null;
@@ -12,8 +14,8 @@ export class Grasps {
     this.canvas = find("scene");
     this.words = find("scene-words");
     this.veil = find("scene-empty");
-    this.card = find("grasp");
-    this.SceneView = import("./scene.js").then(({ SceneView }) => SceneView);
+    this.card = new Card(find("grasp"), () => this.#close());
+    this.key = new Key(find("scene-key"));
   }
 
   /** Shows the chosen run, or of several the one that goes on. */
@@ -29,35 +31,31 @@ export class Grasps {
     const number = ++this.#number;
     this.#view?.stop();
     this.#view = null;
-    this.#card(null);
+    this.card.show(null);
+    this.key.steer(null);
     if (!run) return this.#veil("Nothing is in progress.");
     try {
-      const SceneView = await this.SceneView;
+      const { SceneView } = await import("./scene.js"); // three is large: the rest of the page does not wait for it
       if (number !== this.#number) return;
       this.#veil("");
       this.#view = new SceneView(this.canvas, this.api, job, run);
-      this.#view.onselect = (grasp) => this.#card(grasp);
+      this.#view.onselect = (grasp) => this.card.show(grasp);
       this.#view.onstatus = (words) => say(this.words, words);
+      this.#view.onkinds = (kinds) => this.key.show(kinds);
+      this.key.steer(this.#view);
       this.#view.start();
     } catch (error) {
-      this.#veil(`The view in 3D cannot be drawn here: ${error.message}`);
+      this.#veil(`The view in 3D cannot be drawn here: ${error.message}. The rest of the page does without it.`);
     }
+  }
+
+  #close() {
+    this.#view?.select(null);
+    this.canvas.focus();
   }
 
   #veil(words) {
     say(this.veil, words);
     this.veil.hidden = !words;
   }
-
-  #card(grasp) {
-    this.card.hidden = !grasp;
-    if (!grasp) return;
-    this.card.replaceChildren(...lines(grasp, () => this.#view?.select(null)));
-  }
-}
-
-function lines(grasp, close) {
-  const button = element("button", { type: "button", class: "quiet", "aria-label": "Close" }, "×");
-  button.addEventListener("click", close);
-  return [element("header", {}, element("h4", {}, `Grasp ${grasp.number}`), button)];
 }

@@ -1,0 +1,41 @@
+// The pace: how finely the view is drawn while it moves, so that it stays fluid, also without a graphics card.
+
+/** From fine to coarse: pixels drawn per pixel of the page along each side, and whether voxels are plain squares. */
+const LEVELS = [
+  { scale: 1, plain: false },
+  { scale: 0.7, plain: false },
+  { scale: 0.5, plain: false },
+  { scale: 0.5, plain: true },
+  { scale: 0.35, plain: true },
+];
+const SLOW = 40; // ms: a frame that takes longer is drawn more coarsely next time
+const QUICK = 12; // ms: below it, more finely
+const SETTLED = 4; // frames at one level before it is judged
+const STALLED = 1000; // ms: a frame so late was held up by something else
+
+export class Pace {
+  #level = 0;
+  #frames = 0;
+  #mean = 0;
+
+  get level() {
+    return LEVELS[this.#level];
+  }
+
+  /** Tell how long a frame took [ms]; true where the level changed. */
+  took(ms) {
+    if (ms > STALLED) return false;
+    this.#mean = this.#frames ? 0.6 * this.#mean + 0.4 * ms : ms;
+    this.#frames += 1;
+    if (this.#frames < SETTLED) return false;
+    if (this.#mean > SLOW) return this.#go(this.#level + 1);
+    return this.#mean < QUICK && this.#go(this.#level - 1);
+  }
+
+  #go(level) {
+    if (!(level in LEVELS)) return false;
+    this.#level = level;
+    this.#frames = 0;
+    return true;
+  }
+}
