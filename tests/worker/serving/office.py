@@ -37,6 +37,8 @@ class Office:
         self.fetched = 0
         self.workers: set[str] = set()
         self.refusal = ""
+        self.drains = False
+        """The worker was asked to leave, and is so whenever it joins."""
         self.faults = 0
         """So many joins end in an error of the coordinator's own."""
         self.garbled = 0
@@ -72,6 +74,7 @@ class Office:
         """Take batches back, or ask the worker to leave."""
         for work in drop:
             self._leased.pop(work.batch, None)
+        self.drains |= drain
         message = Control(epoch=self.epoch, drop=[work.batch for work in drop], drain=drain)
         wid, encoding = self.joins[-1].wid, codec.encoding(Control)
         self.bus.put(self._keys.ctl(wid), codec.encode(message), encoding=encoding, channel=Channel.CONTROL)
@@ -97,7 +100,9 @@ class Office:
             given_up = [self._leased.pop(batch) for batch in list(self._leased) if batch not in join.held]
             self._tray.extendleft(reversed(given_up))
             self._changed.notify_all()
-            # as on a real bus, work may arrive before the answer to the join does
+            # as on a real bus, these may arrive before the answer to the join does
+            if self.drains:
+                self.control(drain=True)
             self._lease()
         return codec.encode(Joined(epoch=self.epoch, drop=[]))
 
@@ -118,7 +123,7 @@ class Office:
             self._changed.notify_all()
 
     def _lease(self) -> None:
-        while self.joins and self._tray and len(self._leased) < self.joins[-1].credit:
+        while not self.drains and self.joins and self._tray and len(self._leased) < self.joins[-1].credit:
             work = msgspec.structs.replace(self._tray.popleft(), epoch=self.epoch, join=self.joins[-1].number)
             self._leased[work.batch] = work
             key = self._keys.work(self.joins[-1].wid)

@@ -95,12 +95,47 @@ def test_the_numbers_of_joins_go_on_where_a_job_comes_back_after_its_end(life):
     assert numbers == sorted(set(numbers))
 
 
-def test_a_job_that_was_left_is_joined_again_for_a_later_coordinator_only(life):
+@pytest.fixture
+def drained(life):
     life.meet("job", 7, 0.0)
     life.join("job", 7, 0.0).desk.control(Control(epoch=7, drop=[], drain=True))
     life.memberships.leave_drained()
-    life.meet("job", 7, 1.0, is_alive=False)
-    life.meet("job", 7, 2.0)
     assert list(life.jobs) == []
-    life.meet("job", 8, 3.0)
-    assert [appointment.desk.job for appointment in life.jobs] == ["job"]
+    return life
+
+
+def test_a_job_that_was_left_is_joined_again_for_a_later_coordinator_and_for_no_earlier_one(drained):
+    drained.meet("job", 6, 1.0)
+    assert list(drained.jobs) == []
+    drained.meet("job", 8, 2.0)
+    assert [appointment.desk.job for appointment in drained.jobs] == ["job"]
+
+
+@pytest.mark.parametrize("epoch", [1, 7])
+def test_a_job_of_the_same_name_that_begins_anew_is_joined_though_it_counts_from_the_beginning(
+    drained, epoch
+):
+    drained.meet("job", 7, 1.0, is_alive=False)
+    drained.meet("job", epoch, 2.0)
+    assert drained.join("job", epoch, 2.0).desk.epoch == epoch
+
+
+def test_a_coordinator_that_went_before_it_was_left_keeps_nobody_from_the_next_one(life):
+    life.meet("job", 7, 0.0)
+    desk = life.join("job", 7, 0.0).desk
+    desk.accept(work(1, epoch=7))
+    desk.control(Control(epoch=7, drop=[], drain=True))
+    life.meet("job", 7, 1.0, is_alive=False)
+    desk.release(work(1).batch)
+    life.memberships.leave_drained()
+    assert list(life.jobs) == []
+    life.meet("job", 1, 2.0)
+    assert life.join("job", 1, 2.0).desk.epoch == 1
+
+
+def test_a_job_is_not_left_where_a_later_coordinator_is_there_already(life):
+    life.meet("job", 7, 0.0)
+    life.join("job", 7, 0.0).desk.control(Control(epoch=7, drop=[], drain=True))
+    life.meet("job", 8, 1.0)
+    life.memberships.leave_drained()
+    assert life.join("job", 8, 1.0).has_share

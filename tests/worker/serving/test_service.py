@@ -94,12 +94,27 @@ def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alo
     assert office.answered() == [1]
     other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
     joins = len(office.joins)
+    office.give(work(3))
     worker.bus.cut()
     worker.bus.mend()
-    other.wait(lambda: len(other.joins) > 2, "a join after the link was back")
+    office.wait(lambda: len(office.joins) > joins, "a question whether it is still the same coordinator")
+    office.wait(lambda: not office.workers, "the end of its token")
+    other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
     other.give(work(2))
     other.wait(lambda: other.results, "a result")
-    assert (office.workers, len(office.joins)) == (set(), joins)
+    assert office.answered() == [1]
+
+
+def test_a_worker_that_was_drained_of_a_job_serves_a_new_one_of_the_same_name(hire, open_office, network):
+    with Office(network) as office:
+        hire()
+        office.wait(lambda: office.joins, "a join")
+        office.control(drain=True)
+        office.wait(lambda: not office.workers, "the end of its token")
+    anew = open_office()
+    anew.give(work(2))
+    anew.wait(lambda: anew.results, "a result")
+    assert anew.epoch == office.epoch
 
 
 def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(hire, open_office):

@@ -50,6 +50,12 @@ class Appointment:
         """Whether this job has a share of the worker."""
         return self.alive and not self._is_refused and not self.desk.is_draining
 
+    @property
+    def is_dismissed(self) -> bool:
+        """The last coordinator that there is asked this worker to leave, and nothing is held any more."""
+        is_last = max(self._there, default=-1) <= self.desk.epoch
+        return self.desk.is_draining and is_last and not self.desk.held
+
     def is_due(self, now: float) -> bool:
         """Whether it is to be asked now."""
         return self.join_at is not None and self.join_at <= now

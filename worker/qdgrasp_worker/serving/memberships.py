@@ -13,15 +13,10 @@ from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, job_of, last_chunk, number
 from qdgrasp_protocol.messages import VERSION, Join, Joined
 from qdgrasp_worker.serving.appointment import Appointment
-from qdgrasp_worker.serving.desk import Desk
 from qdgrasp_worker.serving.errands import Answered, Errands
 from qdgrasp_worker.serving.rota import Rota
 
 log = structlog.get_logger()
-
-LEFT = 1000
-"""So many jobs that this worker was drained of are remembered."""
-
 
 class RefusedByJob(Refused):
     """The only job this worker was meant for does not take it."""
@@ -51,6 +46,7 @@ class Memberships:
         self._only = only
         self._tokens: dict[str, AbstractContextManager[None]] = {}
         self._left: dict[str, int] = {}
+        """The epochs of coordinators that drained this worker, and are there, by job."""
 
     def __enter__(self) -> Self:
         return self
@@ -66,8 +62,10 @@ class Memberships:
         if job is None or epoch is None:
             return
         appointment = self._jobs.get(job)
-        if is_alive and appointment is None and epoch > self._left.get(job, -1):
+        left = self._left.get(job, -1)
+        if epoch > left or (epoch == left and not is_alive):
             self._left.pop(job, None)
+        if is_alive and appointment is None and epoch > left:
             appointment = self._open(job)
         if appointment is not None:
             appointment.meet(epoch, is_alive, now)
@@ -132,9 +130,10 @@ class Memberships:
         is_last = False
         for appointment in self._jobs:
             desk = appointment.desk
-            if desk.is_draining and not desk.held:
+            if appointment.is_dismissed:
                 log.info("left a job, as its coordinator asked", job=desk.job)
-                self._note_left(desk)
+                if not desk.is_orphaned:
+                    self._left[desk.job] = desk.epoch
                 self._close(desk.job)
                 is_last = self._only is not None
         return is_last
@@ -145,12 +144,6 @@ class Memberships:
             if now >= appointment.ends_at:
                 log.info("a job has no coordinator any more", job=appointment.desk.job)
                 self._close(appointment.desk.job)
-
-    def _note_left(self, desk: Desk) -> None:
-        """Note not to come back to a coordinator, also when its link was down meanwhile."""
-        self._left[desk.job] = desk.epoch
-        if len(self._left) > LEFT:
-            del self._left[next(iter(self._left))]
 
     def _open(self, job: str) -> Appointment:
         self._tokens[job] = self._bus.token(Keys(job).worker_token(self._wid))
