@@ -19,6 +19,7 @@ from typing import IO
 from qdgrasp_protocol.lifetime import SUPERVISED
 
 GRACE = 2.0  # seconds that a process may take to stop before it is killed
+MARGIN = 0.5  # of them, those that it is not told of, so that it is not killed while it stops
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Each process works on one core."""
@@ -80,6 +81,11 @@ class Crew:
         self._grace = grace
         self._leave_by: float | None = None
         self._members: dict[str, Member] = {}
+
+    @property
+    def members_grace(self) -> float:
+        """Seconds that a member may be told to take at most."""
+        return max(0.0, self._grace - MARGIN)
 
     def hire(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
         """Start `python -m module arguments` as the member `name`, on one core or on any."""

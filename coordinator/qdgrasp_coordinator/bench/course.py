@@ -24,6 +24,7 @@ from qdgrasp_coordinator.serving.record import Memory
 from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_coordinator.watching.progress import Display
 from qdgrasp_coordinator.watching.watch import Watch
+from qdgrasp_coordinator.watching.workers import hire_worker
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.keys import Keys
@@ -136,7 +137,7 @@ class Course:
     def _hire(self, crew: Crew, endpoint: str, workers: int) -> None:
         """Hire what is missing to so many workers."""
         for number in range(self._hired, workers):
-            crew.hire(f"worker-{number}", "qdgrasp_worker.cli", ["--connect", endpoint, "--job", JOB])
+            hire_worker(crew, number, ["--connect", endpoint, "--job", JOB])
         self._hired = workers
 
     @property

@@ -17,6 +17,7 @@ from qdgrasp_coordinator.bench.regimes import METHOD
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.runs.preparation import full_spec, make_bundle
 from qdgrasp_coordinator.watching.progress import PlainLines
+from qdgrasp_coordinator.watching.workers import GRACE
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.spec import RunSpec
@@ -80,7 +81,7 @@ def _measure(spec: RunSpec, workers: int, seconds: float) -> Measured:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
         bus, endpoint = ZenohBus.embedded(None)
         stack.enter_context(bus)
-        measured = course.run(bus, endpoint, stack.enter_context(Crew(logs)), stop)
+        measured = course.run(bus, endpoint, stack.enter_context(Crew(logs, GRACE)), stop)
     if measured is None:
         raise typer.Exit(stop.exit_code)
     return measured

@@ -17,6 +17,7 @@ from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_coordinator.watching.progress import Display
 from qdgrasp_coordinator.watching.supervisor import Team
 from qdgrasp_coordinator.watching.watch import Watch
+from qdgrasp_coordinator.watching.workers import GRACE, hire_worker
 from qdgrasp_protocol.crew import Crew
 from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import Stop
@@ -43,9 +44,9 @@ def score(
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
         bus, endpoint = ZenohBus.embedded(None)
         stack.enter_context(bus)
-        crew = stack.enter_context(Crew(logs))
+        crew = stack.enter_context(Crew(logs, GRACE))
         for number in range(max(1, team.workers)):
-            crew.hire(f"worker-{number}", "qdgrasp_worker.cli", ["--connect", endpoint, "--job", JOB])
+            hire_worker(crew, number, ["--connect", endpoint, "--job", JOB])
         watch = Watch(crew, display)
         service = CoordinatorService(
             bus,

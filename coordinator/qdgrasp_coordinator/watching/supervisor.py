@@ -14,6 +14,7 @@ from qdgrasp_coordinator.counts.figures import JobFigures, from_json
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.watching.progress import Display
 from qdgrasp_coordinator.watching.watch import COORDINATOR, Watch
+from qdgrasp_coordinator.watching.workers import GRACE, hire_worker
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.crew import Crew
@@ -24,7 +25,6 @@ from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
-GRACE = 1.2  # seconds that they may take to stop; whoever takes longer loses nothing but its time
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Supervisor:
         crew.hire("recorder", "qdgrasp_coordinator.cli.recorder", arguments)
 
     def _hire_worker(self, crew: Crew, endpoint: str, number: int) -> None:
-        crew.hire(f"worker-{number}", "qdgrasp_worker.cli", self._place(endpoint))
+        hire_worker(crew, number, self._place(endpoint))
 
     def _place(self, endpoint: str) -> list[str]:
         """Where the others find the coordinator, and what they show there."""

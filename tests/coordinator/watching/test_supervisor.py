@@ -19,6 +19,8 @@ CHOSEN = "tcp/127.0.0.1:50123"
 class Staff:
     """A crew of names: its first coordinator is killed, its second one gets done."""
 
+    members_grace = 0.25
+
     def __init__(self, folder: JobFolder) -> None:
         self._folder = folder
         self._is_killed = False
@@ -91,3 +93,4 @@ def test_a_coordinator_that_is_started_again_listens_where_the_first_did(
     Supervisor(folder, Team(1, door=Door(listen)), Silence(), Stop()).run()
     assert [after("--listen", one) for one in staff.coordinators] == [listen, again]
     assert [after("--connect", one) for one in staff.others] == [near, near]
+    assert [after("--grace", one) for one in staff.others] == [None, "0.25"]  # a recorder, a worker

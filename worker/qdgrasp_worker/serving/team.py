@@ -10,14 +10,13 @@ import structlog
 import typer
 from setproctitle import setproctitle
 
-from qdgrasp_protocol.crew import GRACE, Crew, Death
+from qdgrasp_protocol.crew import GRACE, MARGIN, Crew, Death
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import Stop
 
 log = structlog.get_logger()
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the workers
-MARGIN = 0.5  # seconds beyond their grace after which workers are killed
 START_UP = 60.0  # seconds in which a worker that reaches its router begins to serve
 OUR_OWN = ("workers", "pin")
 """Options of the team, which its workers are not given."""
