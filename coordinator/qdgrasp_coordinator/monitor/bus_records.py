@@ -3,7 +3,7 @@
 import msgspec
 
 from qdgrasp_assets.scene import Scene, unpack_scene
-from qdgrasp_coordinator.counts.entry import RunEntries
+from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.finds import from_message
 from qdgrasp_coordinator.monitor.records import Page
 from qdgrasp_protocol import chunks, codec
@@ -30,22 +30,26 @@ class BusRecords:
         message = codec.decode(payload, Finds)
         return Page(from_message(message), message.next, message.rows)
 
+    def entries(self, job: str) -> list[RunEntry]:
+        """All pages of the recorder's list."""
+        runs: list[RunEntry] = []
+        first: int | None = 0
+        while first is not None:
+            page = self._entries(job, first)
+            runs += page.runs
+            first = page.next if page.next > first else None
+        return runs
+
     def name(self, job: str, run: str) -> str:
         """Its name: in which folder it lies is not told on the bus."""
         return run
 
     def _digest(self, job: str, run: str) -> str:
         """The scene of a run."""
-        known: list[str] = []
-        first: int | None = 0
-        while first is not None:
-            entries = self._entries(job, first)
-            for entry in entries.runs:
-                if entry.run == run:
-                    return entry.scene
-                known.append(entry.run)
-            first = entries.next if entries.next > first else None
-        raise UnknownName("run", run, known)
+        scenes = {entry.run: entry.scene for entry in self.entries(job)}
+        if run not in scenes:
+            raise UnknownName("run", run, scenes)
+        return scenes[run]
 
     def _entries(self, job: str, first: int) -> RunEntries:
         answer = self._bus.ask(Keys(job).entries, parameters=f"from={first}")

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.counts.entry import RunEntry
 from qdgrasp_coordinator.counts.finds import Found, found, layout, limit
-from qdgrasp_coordinator.counts.tally import successful
+from qdgrasp_coordinator.counts.tally import successful, tally
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.monitor.records import Page
@@ -50,6 +51,10 @@ class FolderRecords:
             return Page(finds[:most], int(finds["number"][most]), count)
         return Page(finds, max(first, stop), count)
 
+    def entries(self, job: str) -> list[RunEntry]:
+        """Counted from the journals as they are now."""
+        return [_entry(self._folder(job, run)) for run in self.runs.get(job, [])]
+
     def name(self, job: str, run: str) -> str:
         """The path of its folder."""
         return str(self._folder(job, run).path)
@@ -61,6 +66,12 @@ class FolderRecords:
         if run not in runs[job]:
             raise UnknownName("run", run, runs[job])
         return RunFolder.open(self._jobs[job].run_path(run))
+
+
+def _entry(folder: RunFolder) -> RunEntry:
+    with folder.journal() as journal:
+        found = tally(folder.spec, journal.blocks())
+    return RunEntry.of(folder.run, folder.spec, folder.bundle().digest, found)
 
 
 def _found(blocks: Iterable[Rows], first: int, joints: int) -> Found:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.counts.entry import RunEntry
 from qdgrasp_coordinator.counts.finds import Found
 
 
@@ -35,6 +36,9 @@ class Records(Protocol):
 
     def page(self, job: str, run: str, first: int) -> Page:
         """Some successes of a run from journal number `first` on; more by asking again with `next`."""
+
+    def entries(self, job: str) -> list[RunEntry]:
+        """The runs of a job, finished ones too."""
 
     def name(self, job: str, run: str) -> str:
         """What commands call the run."""

@@ -45,6 +45,7 @@ class Pages:
             Route("/api/state", self.state),
             Route("/api/stream", self.stream),
             Route("/api/jobs/{job}/curves", self.curves),
+            Route("/api/jobs/{job}/runs", self.runs),
             Route(f"{run}/scene", self.scene),
             Route(f"{run}/cells", self.cells),
             Route(f"{run}/grasps/{{number:int}}", self.grasp),
@@ -69,6 +70,10 @@ class Pages:
     def curves(self, request: Request) -> Response:
         """The curves of one job."""
         return _json(self._shown.curves(request.path_params["job"]))
+
+    def runs(self, request: Request) -> Response:
+        """The runs of one job, finished ones too."""
+        return _json(self._library.runs(request.path_params["job"]))
 
     def scene(self, request: Request) -> Response:
         """What stands in the view in 3D."""

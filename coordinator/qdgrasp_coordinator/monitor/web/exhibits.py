@@ -10,6 +10,7 @@ from functools import cached_property
 import msgspec
 
 from qdgrasp_coordinator.analysis.hand import Hand, hand
+from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.monitor.records import Records
 from qdgrasp_coordinator.monitor.web import geometry
 from qdgrasp_coordinator.monitor.web.voxels import Voxels
@@ -93,6 +94,10 @@ class Exhibits:
         self._records, self._clock = records, clock
         self._lock = threading.Lock()
         self._kept: OrderedDict[tuple[str, str], Exhibit] = OrderedDict()
+
+    def runs(self, job: str) -> bytes:
+        """JSON of `RunEntries`."""
+        return msgspec.json.encode(RunEntries(runs=self._records.entries(job)))
 
     def scene(self, job: str, run: str) -> bytes:
         """JSON of `geometry.Stage`."""

@@ -2,14 +2,21 @@
 
 from typing import Protocol
 
-from qdgrasp_protocol.errors import UnknownName
-
 
 class Library(Protocol):
     """Scenes and finds of runs, as the page's view in 3D reads them.
 
     Its methods may take a while, and are called in threads.
     """
+
+    def runs(self, job: str) -> bytes:
+        """JSON: the runs of a job, finished ones too (`RunEntries`).
+
+        Raises
+        ------
+        QdgraspError
+            There is no such job, or nobody answers.
+        """
 
     def scene(self, job: str, run: str) -> bytes:
         """JSON: the object, the hand's links and the bounds of a run.
@@ -37,19 +44,3 @@ class Library(Protocol):
         QdgraspError
             There is no such run or find, or nobody answers.
         """
-
-
-class NoLibrary:
-    """Where there is nothing to take finds from."""
-
-    def scene(self, job: str, run: str) -> bytes:
-        """There is none."""
-        raise UnknownName("run", run, ())
-
-    def cells(self, job: str, run: str, since: int) -> bytes:
-        """There are none."""
-        raise UnknownName("run", run, ())
-
-    def grasp(self, job: str, run: str, number: int) -> bytes:
-        """There is none."""
-        raise UnknownName("run", run, ())
