@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
 from qdgrasp_coordinator.counts.cells import cells, keys
+from qdgrasp_coordinator.counts.scores import ROBUST
 
 
 class Coverage(Struct, frozen=True, kw_only=True):
@@ -59,7 +60,7 @@ def coverage(
     reached, robust = cells(positions), reference.robust
     distinct = np.unique(reached, axis=0)
     found = _shared(distinct, reference)
-    robust_found = _shared(np.unique(reached[fitness == 2], axis=0), robust)
+    robust_found = _shared(np.unique(reached[fitness == ROBUST], axis=0), robust)
     elites, robust_elites = _released(reached, positions, fitness, reference, archive)
     result = Coverage(
         coverage=_ratio(found, len(reference)),
@@ -87,7 +88,7 @@ def _released(
     if archive is None:
         return None, None
     elites = archive.elites(positions, fitness)
-    robust = elites[fitness[elites] == 2]
+    robust = elites[fitness[elites] == ROBUST]
     return _shared(reached[elites], reference), _shared(reached[robust], reference)
 
 

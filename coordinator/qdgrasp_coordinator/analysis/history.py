@@ -19,6 +19,7 @@ from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
 from qdgrasp_coordinator.analysis.target import Target
 from qdgrasp_coordinator.counts.cells import cells, keys
+from qdgrasp_coordinator.counts.scores import ROBUST
 from qdgrasp_coordinator.counts.tally import counted, successful, tally
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.rows import Rows
@@ -195,9 +196,9 @@ def history(folder: RunFolder, target: Target) -> History:
         dead_ends=total.dead_ends,
         successes=metrics.successes,
         cells=finds.cells(),
-        robust_cells=finds.cells(fitness=2),
+        robust_cells=finds.cells(fitness=ROBUST),
         found=None if known is None else finds.found(known),
-        robust_found=None if known is None else finds.found(known.robust, fitness=2),
+        robust_found=None if known is None else finds.found(known.robust, fitness=ROBUST),
         published=None if known is None or archive is None else finds.published(known, archive),
         diversity=diversity(kept),
         qd_score=metrics.qd_score,

@@ -18,6 +18,7 @@ from qdgrasp_coordinator.analysis.views import (
     view_of_cells,
     view_of_hands,
 )
+from qdgrasp_coordinator.counts.scores import ROBUST
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -97,9 +98,9 @@ def _cells(axes: Axes, view: View) -> None:
     scale_bar(axes, view)
     heading = f"{len(view.shown):,} cells of 1 cm where the hand had a success"
     axes.set_title(heading + ("" if view.whole else ", cut open"), size=13, color=INK, loc="left", pad=4)
-    fitness = np.clip(view.shown["fitness"], 0, 2).astype(int)
+    fitness = np.clip(view.shown["fitness"], 0, ROBUST).astype(int)
     for best, (colour, word) in enumerate(zip(COLOURS, WORDS, strict=True)):
-        height = -0.03 - 0.055 * (2 - best)
+        height = -0.03 - 0.055 * (ROBUST - best)
         axes.text(0.0, height, "\u25a0", color=colour, size=15, transform=axes.transAxes, va="center")
         words = f"{int((fitness == best).sum()):,}  {word}"
         axes.text(0.045, height, words, color=FAINT, size=12, transform=axes.transAxes, va="center")

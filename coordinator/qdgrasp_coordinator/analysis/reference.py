@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.counts.arrays import read_arrays
+from qdgrasp_coordinator.counts.scores import ROBUST
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 
 EXPECTED = "expected an .npz file with '<object>.cm' and '<object>.fitness'"
@@ -52,7 +53,7 @@ class ReferenceSet:
     @property
     def robust(self) -> "ReferenceSet":
         """The entries with fitness 2."""
-        chosen = self.fitness == 2
+        chosen = self.fitness == ROBUST
         return replace(self, cells=self.cells[chosen], fitness=self.fitness[chosen])
 
 

@@ -17,6 +17,7 @@ from qdgrasp_coordinator.analysis.layers import FINE, Image
 from qdgrasp_coordinator.analysis.light import lit, soft_light
 from qdgrasp_coordinator.analysis.rays import Camera, Floats, Solid, camera
 from qdgrasp_coordinator.counts.cells import PER_METRE, cells, keys
+from qdgrasp_coordinator.counts.scores import ROBUST
 from qdgrasp_protocol.rows import Rows
 
 ELEVATION = np.radians(26.0)
@@ -95,7 +96,7 @@ def view_of_cells(scene: Scene, best: Rows, azimuth: float, pixels: int, hues: F
 
 def hues_of_fitness(best: NDArray[np.number]) -> Floats:
     """The colours (n, 3) of cells by their best fitness (n,)."""
-    hues: Floats = np.array([rgb(colour) for colour in fitness.COLOURS])[np.clip(best, 0, 2).astype(int)]
+    hues: Floats = np.array([rgb(colour) for colour in fitness.COLOURS])[np.clip(best, 0, ROBUST).astype(int)]
     return hues
 
 

@@ -18,7 +18,7 @@ from qdgrasp_coordinator.analysis.rays import Floats
 from qdgrasp_coordinator.analysis.sheet import Sheet, heading
 from qdgrasp_coordinator.analysis.views import best_in_cells, hues_of_fitness, side_of, view_of_cells
 from qdgrasp_coordinator.counts.cells import cells
-from qdgrasp_coordinator.counts.scores import eta, scored
+from qdgrasp_coordinator.counts.scores import ROBUST, eta, scored
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.searches.search import METHODS
 from qdgrasp_protocol.rows import Rows
@@ -121,7 +121,7 @@ def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
 def _counts(one: Voxels, whole: bool) -> str:
     cut = "" if whole else "; cut open"
     if one.eta is None:
-        return f"{len(one.best):,} cells, {int((one.best['fitness'] == 2).sum()):,} robust{cut}"
+        return f"{len(one.best):,} cells, {int((one.best['fitness'] == ROBUST).sum()):,} robust{cut}"
     return f"{len(one.best):,} cells, median \u03b7 {np.median(one.eta) if len(one.eta) else 0:.2f}{cut}"
 
 

@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.counts.tally import successes
+from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
 SHAKES = 2
 """In each evaluation."""
+ROBUST = Outcome.HELD - Outcome.DROPPED
+"""The nominal fitness of what is held: it survived every shake."""
 
 
 class Scores:

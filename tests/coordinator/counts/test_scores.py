@@ -5,7 +5,7 @@ import pytest
 from tests.coordinator.runs.plans import SHAPE, Chain, Plan
 from tests.coordinator.runs.test_pipeline import asked
 
-from qdgrasp_coordinator.counts.scores import eta, scored
+from qdgrasp_coordinator.counts.scores import ROBUST, SHAKES, eta, scored
 from qdgrasp_coordinator.runs.pipeline import Pipeline
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
@@ -50,3 +50,8 @@ def test_a_success_has_no_score_before_its_last_trial_is_recorded() -> None:
 
 def test_eta_is_the_share_of_shakes_survived() -> None:
     assert eta(np.array([0, 90, 200], np.float32), 100).tolist() == [0, 0.45, 1]
+
+
+def test_what_survives_every_shake_is_robust_and_the_fittest_nominal_row_there_is() -> None:
+    assert ROBUST == SHAKES == len([outcome for outcome in Outcome if outcome.is_grasp])
+    assert [outcome for outcome in Outcome if outcome.is_robust] == [Outcome.DROPPED + ROBUST]
