@@ -42,6 +42,7 @@ def monitor(
         bool,
         typer.Option("--json", help="Print a JSON object in a line: with --once one, else one a second."),
     ] = False,
+    ascii_only: Annotated[bool, typer.Option("--ascii", help="Draw with nothing but ASCII.")] = False,
     web: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve a page there, and metrics at /metrics.")
     ] = None,
@@ -67,7 +68,8 @@ def monitor(
         credentials = Credentials.find(security, Role.MONITOR)
         bus = stack.enter_context(ZenohBus.connect(endpoint, wait, stop, credentials))
         if once:
-            look(bus, endpoint, job, as_json=as_json)
+            views = chosen(overview(bus), job)
+            typer.echo(to_json(views, endpoint)) if as_json else show(views, endpoint, ascii_only=ascii_only)
             return
         feed = stack.enter_context(Feed(bus, job))
         if web is not None:
@@ -75,27 +77,29 @@ def monitor(
         elif as_json:
             stream(feed, endpoint, stop)
         else:
-            watch(feed, endpoint, Console(), stop)
+            console = Console()
+            watch(feed, endpoint, console, glyphs_of(console, ascii_only=ascii_only), stop)
     raise typer.Exit(stop.exit_code)
 
 
-def look(bus: Bus, endpoint: str, job: str | None, *, as_json: bool) -> None:
-    """Print one look at the jobs that there are.
+def chosen(views: Sequence[JobView], job: str | None) -> Sequence[JobView]:
+    """The job that was named; all of them where none was.
 
     Raises
     ------
     UnknownName
-        There are some, but not the one that was named.
+        There are some, but not that one.
     """
-    there = overview(bus)
-    views = [view for view in there if job in (None, view.job)]
-    if job and there and not views:
-        raise UnknownName("job", job, [view.job for view in there])
-    if as_json:
-        typer.echo(to_json(views, endpoint))
-        return
+    if job and views and job not in [view.job for view in views]:
+        raise UnknownName("job", job, [view.job for view in views])
+    return [view for view in views if job in (None, view.job)]
+
+
+def show(views: Sequence[JobView], endpoint: str, *, ascii_only: bool) -> None:
+    """Print one look at jobs."""
     console = Console(highlight=False)
-    for line in sheet(Shown(views, endpoint, local_time()), console.width, glyphs_of(console)):
+    shown, glyphs = Shown(views, endpoint, local_time()), glyphs_of(console, ascii_only=ascii_only)
+    for line in sheet(shown, console.width, glyphs):
         console.print(line, soft_wrap=True)
 
 

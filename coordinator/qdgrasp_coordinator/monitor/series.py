@@ -10,7 +10,7 @@ from qdgrasp_coordinator.counts.figures import Figures, JobFigures
 MOST = 600
 """The most points of a series."""
 STEP = 1.0  # seconds between two points of a young one
-WINDOW = 10.0  # seconds over which a rate is taken: results are told generation by generation
+WINDOW = 30.0  # seconds over which a rate is taken: results are told generation by generation
 
 Kind = TypeVar("Kind")
 
@@ -22,7 +22,7 @@ class Series(Struct, frozen=True, kw_only=True):
     """When, in seconds since 1970."""
     evaluations: list[int]
     rate: list[float]
-    """Counted evaluations per second over the ten seconds before, replayed ones apart."""
+    """Counted evaluations per second over the half minute before, replayed ones apart."""
     successes: list[int]
     cells: list[int]
     robust: list[int]

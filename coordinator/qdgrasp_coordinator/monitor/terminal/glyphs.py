@@ -1,5 +1,6 @@
 """The characters that pictures are made of: blocks and braille, or ASCII where there is nothing else."""
 
+import os
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -36,6 +37,7 @@ UNICODE = Glyphs("█", "░", "─", " · ", "▸", "…", "·░▒▓▚█",
 ASCII = Glyphs("#", ".", "-", " | ", ">", "~", ".:-=+#", has_braille=False)
 
 
-def glyphs_of(console: Console) -> Glyphs:
-    """Those that a terminal can show."""
-    return UNICODE if console.encoding.lower().startswith("utf") else ASCII
+def glyphs_of(console: Console, *, ascii_only: bool = False) -> Glyphs:
+    """Those that a terminal can show; the font of Linux's own console has no braille."""
+    has_all = console.encoding.lower().startswith("utf") and os.environ.get("TERM") != "linux"
+    return UNICODE if has_all and not ascii_only else ASCII

@@ -36,7 +36,7 @@ def job_list(views: Sequence[JobView], chosen: int, width: int, rows: int, glyph
         Column("runs", lambda one: _runs(one[1]), 7, rank=5),
         Column("evaluations", lambda one: count(one[1].figures.evaluations), 11, rank=4),
         Column("done", lambda one: part(one[1].figures.evaluations, one[1].figures.budget), 5),
-        Column("left", lambda one: left(one[1]), 6, rank=2),
+        Column("left", lambda one: left(one[1]), 7, rank=2),
         Column("eval/s", lambda one: short(latest(one[1].history)), 6, rank=3),
         Column("cells", lambda one: count(one[1].figures.cells), 8, rank=6),
         Column("robust", lambda one: count(one[1].figures.robust), 8, rank=7),

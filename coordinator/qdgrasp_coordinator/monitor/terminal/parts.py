@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from rich.text import Text
 
+from qdgrasp_coordinator.counts.curve import Point
 from qdgrasp_coordinator.counts.figures import JobFigures
 from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.terminal.glyphs import Glyphs
@@ -111,9 +112,12 @@ def drawings(view: JobView) -> list[Drawing]:
     """The curves of a job: of its one run from the beginning, of many since somebody watches."""
     history = view.history
     curve = view.curves.get(view.runs[-1].run) if view.runs and view.figures.runs == 1 else None
-    evaluations = [point.evaluations for point in curve.points] if curve else history.evaluations
-    cells = [point.cells for point in curve.points] if curve else history.cells
-    successes = [point.successes for point in curve.points] if curve else history.successes
+    if curve:
+        begun = [Point(0, 0, 0, 0, 0), *curve.points]
+        evaluations = [point.evaluations for point in begun]
+        cells, successes = [point.cells for point in begun], [point.successes for point in begun]
+    else:
+        evaluations, cells, successes = history.evaluations, history.cells, history.successes
     ends = (count(evaluations[0]), f"{count(evaluations[-1])} evaluations") if evaluations else ("", "")
     ago = f"{span(history.at[-1] - history.at[0])} ago" if history.at else ""
     return [

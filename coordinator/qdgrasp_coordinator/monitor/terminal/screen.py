@@ -10,7 +10,7 @@ from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.overview import lines, utc_now
 from qdgrasp_coordinator.monitor.terminal.choice import LEAVE, Choice
 from qdgrasp_coordinator.monitor.terminal.frame import Shown, frame, nothing, page
-from qdgrasp_coordinator.monitor.terminal.glyphs import Glyphs, glyphs_of
+from qdgrasp_coordinator.monitor.terminal.glyphs import Glyphs
 from qdgrasp_coordinator.monitor.terminal.keyboard import Keyboard, keyboard
 from qdgrasp_protocol.lifetime import Stop
 
@@ -33,16 +33,16 @@ class Watched(Protocol):
         """Jobs of another version."""
 
 
-def watch(feed: Watched, endpoint: str, console: Console, stop: Stop) -> None:
+def watch(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, stop: Stop) -> None:
     """Show jobs until a key or a signal ends it."""
     with keyboard(stop) as heard:
         draws = console.is_terminal and not console.is_dumb_terminal
-        (draw if draws else tell)(feed, endpoint, console, heard, stop)
+        (draw if draws else tell)(feed, endpoint, console, glyphs, heard, stop)
 
 
-def draw(feed: Watched, endpoint: str, console: Console, heard: Keyboard, stop: Stop) -> None:
+def draw(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, heard: Keyboard, stop: Stop) -> None:
     """Draw the whole terminal twice a second, and after each key."""
-    glyphs, choice = glyphs_of(console), Choice()
+    choice = Choice()
     with Live(
         console=console, screen=True, auto_refresh=False, redirect_stderr=False, redirect_stdout=False
     ) as live:
@@ -55,9 +55,8 @@ def draw(feed: Watched, endpoint: str, console: Console, heard: Keyboard, stop: 
                 choice = choice.pressed(key, shown.names, page(shown, choice, width, height, glyphs))
 
 
-def tell(feed: Watched, endpoint: str, console: Console, heard: Keyboard, stop: Stop) -> None:
+def tell(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, heard: Keyboard, stop: Stop) -> None:
     """Tell how far the jobs are, every few seconds: for terminals that cannot be drawn on, and for files."""
-    glyphs = glyphs_of(console)
     heard.wait(INTERVAL)  # until something was heard
     while not stop.is_set:
         for line in told(look(feed, endpoint), console.width, glyphs):

@@ -18,12 +18,13 @@ def short(number: float) -> str:
 
 
 def part(some: float, total: float) -> str:
-    """A share in per cent; nothing of nothing is nothing."""
-    return f"{100 * some / total:.0f} %" if total else "0 %"
+    """A share in per cent, in at most five characters: 0 %, <1 %, 62 %."""
+    share = 100 * some / total if total else 0.0
+    return "<1 %" if 0 < share < 0.5 else f"{share:.0f} %"
 
 
 def span(seconds: float) -> str:
-    """A time in at most six characters: 4 s, 12:05, 3:12 h, 2.5 d."""
+    """A time in at most seven characters: 4 s, 12:05, 3:12 h, 2.5 d."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"
