@@ -113,12 +113,12 @@ class Job:
                 return True
         return False
 
-    def token(self, key: str, alive: bool, now: float) -> None:
-        """Hear that a coordinator is there, or gone."""
+    def token(self, key: str, alive: bool, now: float, *, is_linked: bool = True) -> None:
+        """Hear that a coordinator is there, or gone; without a way to the router all seem gone."""
         (self._coordinators.add if alive else self._coordinators.discard)(key)
         if alive:
             self._gone_at, self._heard_at = None, now
-        elif not self._coordinators:
+        elif is_linked and not self._coordinators:
             self._gone_at = now
 
     def cut_off(self, now: float) -> None:

@@ -50,14 +50,15 @@ class Jobs:
         for key in sorted(values, key=lambda key: matches(curve, key)):  # curves behind the runs they are of
             if job := self._job(key):
                 job.heard(key, values[key], now)
+        known = {job.name for job in self._jobs.values() if job.is_known}
+        self._due = {name: at for name, at in self._due.items() if at <= now or name not in known}
 
     def token(self, key: str, alive: bool, now: float) -> None:
         """Hear of a coordinator that it is there, or gone."""
         if matches(AnyJob().coordinator_token(), key) and (job := self._job(key)):
             if alive:
                 self._due[job.name] = now
-            if alive or self.is_linked:  # cut off, all seem gone
-                job.token(key, alive, now)
+            job.token(key, alive, now, is_linked=self.is_linked)
 
     def linked(self, is_linked: bool, now: float) -> None:
         """Hear whether there is a way to the router."""

@@ -1,0 +1,73 @@
+"""Series: how figures grew, in few points."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.coordinator.monitor.shown import figures
+
+from qdgrasp_coordinator.monitor.series import MOST, WINDOW, History, Look, Thinned, rates
+
+
+def look(at: float, seconds: float, fresh: float) -> Look:
+    return Look(at, seconds, fresh, 0, 0, 0, 0, 0)
+
+
+@given(st.lists(st.integers(0, 50), min_size=1, max_size=2000), st.integers(4, 40))
+def test_thinned_points_are_few_in_order_and_hold_the_first_and_the_newest(
+    steps: list[int], most: int
+) -> None:
+    thinned: Thinned[int] = Thinned(float, most)
+    places = [sum(steps[: number + 1]) for number in range(len(steps))]
+    for place in places:
+        thinned.add(place)
+    assert len(thinned.points) <= most
+    assert thinned.points == sorted(set(thinned.points))
+    assert (thinned.points[0], thinned.points[-1]) == (places[0], places[-1])
+
+
+def test_a_point_that_lies_before_the_last_is_left_out() -> None:
+    thinned: Thinned[int] = Thinned(float, 10)
+    for place in (1, 5, 3):
+        thinned.add(place)
+    assert thinned.points == [1, 5]
+
+
+def test_points_stay_evenly_spread_however_long_it_takes() -> None:
+    thinned: Thinned[int] = Thinned(float, 100)
+    for place in range(100_000):
+        thinned.add(place)
+    gaps = [after - before for before, after in zip(thinned.points, thinned.points[1:], strict=False)]
+    assert len(thinned.points) >= 40
+    assert max(gaps) <= 4 * 100_000 / 100
+
+
+def test_the_columns_of_a_history_are_of_one_length_and_bounded() -> None:
+    history = History()
+    for second in range(3 * MOST):
+        history.add(figures(evaluations=second, seconds=float(second)), float(second))
+    series = history.series
+    lengths = {len(getattr(series, name)) for name in series.__struct_fields__}
+    assert lengths == {len(series.at)}
+    assert len(series.at) <= MOST
+    assert series.evaluations[-1] == 3 * MOST - 1
+
+
+def test_a_rate_is_of_the_window_before_it() -> None:
+    slow = [look(second, second, 10.0 * second) for second in range(100)]
+    fast = [look(second, second, 990.0 + 50.0 * (second - 99)) for second in range(100, 200)]
+    found = rates(slow + fast)
+    assert found[50] == pytest.approx(10.0)
+    assert found[99 + round(WINDOW)] == pytest.approx(50.0)
+    assert 10.0 < found[110] < 50.0
+
+
+def test_the_first_rate_is_that_since_the_coordinator_began() -> None:
+    assert rates([look(1000.0, 10.0, 250.0)]) == [25.0]
+    assert rates([look(1000.0, 0.0, 0.0)]) == [0.0]
+
+
+def test_a_coordinator_that_begins_to_count_anew_makes_no_rate_negative_or_huge() -> None:
+    before = [look(second, second, 10.0 * second) for second in range(60)]
+    after = [look(60.0 + second, second, 10.0 * second) for second in range(60)]
+    assert max(rates(before + after)) <= 10.0 + 1e-9
+    assert min(rates(before + after)) >= 0.0
