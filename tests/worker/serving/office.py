@@ -15,6 +15,7 @@ from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.local_bus import LocalNetwork
 from qdgrasp_protocol.messages import Chunk, Control, Join, Joined, Result, Work
+from qdgrasp_protocol.sign import Sign
 
 PATIENCE = 200.0
 
@@ -34,6 +35,9 @@ class Office:
         self.joins: list[Join] = []
         self.results: list[Result] = []
         self.signs = 0
+        """So many told that the simulator does something."""
+        self.sign: Sign | None = None
+        """The latest."""
         self.fetched = 0
         self.workers: set[str] = set()
         self.refusal = ""
@@ -107,7 +111,9 @@ class Office:
         return codec.encode(Joined(epoch=self.epoch, drop=[]))
 
     def _hand_out(self, query: Query) -> bytes:
-        self.fetched += 1
+        with self._changed:
+            self.fetched += 1
+            self._changed.notify_all()
         if self.garbled:
             self.garbled -= 1
             return codec.encode(Chunk(total=1, data=b"something else"))
@@ -131,7 +137,8 @@ class Office:
 
     def _see(self, sample: Sample) -> None:
         with self._changed:
-            self.signs += 1
+            self.sign = msgspec.json.decode(sample.payload, type=Sign)
+            self.signs += self.sign.progressed
             self._changed.notify_all()
 
     def _notice(self, key: str, alive: bool) -> None:

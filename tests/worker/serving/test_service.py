@@ -197,6 +197,18 @@ def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_
     assert len(worker.simulators) == 2
 
 
+def test_an_idle_worker_shows_what_it_takes_and_how_often_its_simulator_was_started_again(hire, open_office):
+    office = open_office()
+    worker = hire()
+    office.wait(lambda: office.joins and office.joins[-1].credit, "a simulator")
+    office.wait(lambda: office.sign, "a sign")
+    office.wait(lambda: office.sign.memory > 1 << 20, "what it takes")
+    assert (office.sign.progressed, office.sign.run, office.sign.restarts) == (False, "", 0)
+    os.kill(worker.simulators[0].pid, signal.SIGKILL)
+    office.wait(lambda: office.sign.restarts == 1, "another simulator")
+    assert office.signs == 0
+
+
 def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(hire, open_office):
     office = open_office()
     hire()

@@ -21,6 +21,10 @@ class Rota:
     def __iter__(self) -> Iterator[Appointment]:
         return iter(list(self._jobs.values()))
 
+    def __bool__(self) -> bool:
+        """Whether any job is served."""
+        return bool(self._jobs)
+
     def get(self, job: str | None) -> Appointment | None:
         """The appointment with a job; None: there is none."""
         return self._jobs.get(job or "")

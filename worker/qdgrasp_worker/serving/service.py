@@ -5,7 +5,7 @@ for nothing else. A worker has no state but caches: whatever it loses is evaluat
 same bytes.
 """
 
-import json
+import os
 import secrets
 import signal
 import socket
@@ -14,6 +14,7 @@ from contextlib import ExitStack
 from math import inf
 from queue import Empty
 
+import msgspec
 import structlog
 
 from qdgrasp_protocol import codec
@@ -22,7 +23,8 @@ from qdgrasp_protocol.drops import Drops
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
 from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.messages import Control, Work
+from qdgrasp_protocol.messages import Control, Work, short
+from qdgrasp_protocol.sign import Sign
 from qdgrasp_worker.serving.belt import Belt
 from qdgrasp_worker.serving.bundles import Bundles
 from qdgrasp_worker.serving.errands import Answered, Errands, Fetched
@@ -33,6 +35,7 @@ from qdgrasp_worker.serving.rota import Rota
 from qdgrasp_worker.serving.scenes import Scenes
 from qdgrasp_worker.serving.simulator import Ended, Heard
 from qdgrasp_worker.serving.task import Task
+from qdgrasp_worker.serving.vitals import vitals
 from qdgrasp_worker.serving.workshop import Workshop
 
 log = structlog.get_logger()
@@ -119,9 +122,9 @@ class WorkerService:
         self._memberships.end_over(now)
         if self._memberships.leave_drained():
             self._leave.at_once()
-        if self._workshop.head is not None and now >= self._sign_at:
+        if now >= self._sign_at:
             self._sign_at = now + SIGN_INTERVAL
-            self._show_progress(self._workshop.head)
+            self._give_sign()
 
     # Events come in.
 
@@ -131,9 +134,9 @@ class WorkerService:
     def _patience(self, now: float) -> float | None:
         """Seconds to wait for the inbox; None: for ever."""
         join_at = inf if self._workshop.platform is None else self._jobs.next_join()
-        sign_at = inf if self._workshop.head is None else self._sign_at
+        sign_at = self._sign_at if self._jobs else inf
         end_at = self._jobs.next_end()
-        first = min(join_at, end_at, self._leave.deadline, self._workshop.opens_at, sign_at)
+        first = min(join_at, end_at, self._leave.deadline, self._workshop.tick_at, sign_at)
         return None if first == inf else max(0.0, first - now)
 
     def _hear(self, patience: float | None) -> None:
@@ -208,12 +211,19 @@ class WorkerService:
         key = Keys(task.job).result(self.wid)
         self._bus.put(key, codec.encode(result), encoding=codec.encoding(type(result)))
 
-    def _show_progress(self, task: Task) -> None:
-        """Show, about once a second, that a long batch goes on, if it does; so its lease does not pass."""
-        if not self._workshop.look():
-            return
-        figures = {"wid": self.wid, "host": socket.gethostname(), "run": task.work.run, "rows": task.work.n}
-        payload = json.dumps(figures).encode()
+    def _give_sign(self) -> None:
+        """Show how this worker is, and whether the batch in work goes on: so its lease does not pass."""
+        head, moved = self._workshop.head, self._workshop.look()
+        sign = Sign(
+            wid=self.wid,
+            host=short(socket.gethostname()),
+            run=head.work.run if head else "",
+            rows=head.work.n if head else 0,
+            progressed=moved and head is not None,
+            memory=self._workshop.memory + vitals(os.getpid()).memory,
+            restarts=self._workshop.restarts,
+        )
         for appointment in self._jobs:
             key = Keys(appointment.desk.job).stat(f"worker/{self.wid}")
+            payload = msgspec.json.encode(sign)
             self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)
