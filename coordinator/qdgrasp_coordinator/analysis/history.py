@@ -1,11 +1,13 @@
 """History: what one run found over its evaluations, from one pass over its journal.
 
-Counted are nominal rows; a success's randomised trials give its eta and nothing else.
+Counted are nominal rows; a success's randomised trials give its eta and nothing else. Of a run that keeps its
+successes alone, what all rows came to is told; where every genome counts, the place of a success says after
+how many evaluations it was found.
 """
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Self
 
@@ -17,11 +19,13 @@ from qdgrasp_coordinator.analysis.growth import first_times
 from qdgrasp_coordinator.analysis.metrics import NEAR, Metrics
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
+from qdgrasp_coordinator.analysis.sums import sums_of
 from qdgrasp_coordinator.analysis.target import Target
 from qdgrasp_coordinator.counts.cells import cells, keys
 from qdgrasp_coordinator.counts.scores import ROBUST
-from qdgrasp_coordinator.counts.tally import counted, successful, tally
+from qdgrasp_coordinator.counts.tally import counted, successes, successful
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 from qdgrasp_protocol.trials import trials
@@ -74,6 +78,13 @@ class Finds:
         evaluations = before + np.cumsum(counted(rows, overlaps))
         success = successful(rows)
         return cls(rows[success], evaluations[success])
+
+    @classmethod
+    def placed(cls, rows: Rows, population: int) -> Self:
+        """Those among kept rows, where every genome counts and there are so many in a generation."""
+        found = successes(rows)
+        generation, index = (found[name].astype(np.int64) for name in ("generation", "index"))
+        return cls(found, generation * population + index + 1)
 
     @property
     def nu(self) -> NDArray[np.float64]:
@@ -174,26 +185,34 @@ class History:
         return self.near / aimed if aimed else None
 
 
+def has_curves(folder: RunFolder) -> bool:
+    """Whether the history of a run can be told: of its successes alone it can where every genome counts."""
+    with folder.journal() as journal:
+        return _has_curves(journal, folder.spec)
+
+
 def history(folder: RunFolder, target: Target) -> History:
-    """Read what a run found, also while it goes on."""
+    """Read what a run found, also while it goes on.
+
+    Raises
+    ------
+    FolderError
+        Its journal cannot be read, or does not hold enough of it (`has_curves`).
+    """
     spec = folder.spec
     with folder.journal() as journal:
+        if not _has_curves(journal, spec):
+            journal.check_whole()
         metrics, kept, found = Metrics(trials(spec.protocol)), niche_archive(folder), list[Finds]()
-        blocks = kept.inserting(_finding(journal.blocks(), spec.overlaps, found))
-        total = tally(spec, metrics.counting(blocks))
+        blocks = metrics.counting(kept.inserting(_finding(journal, spec, found)))
+        sums = sums_of(journal, spec, blocks)
         finds = joined(found, journal.shape.empty(0))
-        cpu_seconds = journal.cpu_seconds
     known, archive = target.reference, target.archive
     return History(
         path=folder.path,
         spec=spec,
         target=target,
-        evaluations=total.evaluations,
-        complete=total.finished is not None,
-        simulated=total.simulated,
-        proposals=total.proposals,
-        overlaps=total.overlaps,
-        dead_ends=total.dead_ends,
+        **asdict(sums),
         successes=metrics.successes,
         cells=finds.cells(),
         robust_cells=finds.cells(fitness=ROBUST),
@@ -205,8 +224,11 @@ def history(folder: RunFolder, target: Target) -> History:
         nu=np.histogram(finds.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
         near=int(np.count_nonzero(finds.nu < NEAR)),
         eta=None if metrics.eta is None else metrics.eta.mean,
-        cpu_seconds=cpu_seconds,
     )
+
+
+def _has_curves(journal: Journal, spec: RunSpec) -> bool:
+    return not journal.sources or (len(journal.sources) == 1 and spec.overlaps == "count")
 
 
 def joined(found: Iterable[Finds], none: Rows) -> Finds:
@@ -217,10 +239,13 @@ def joined(found: Iterable[Finds], none: Rows) -> Finds:
     )
 
 
-def _finding(blocks: Iterable[Rows], overlaps: Overlaps, found: list[Finds]) -> Iterator[Rows]:
-    """The same blocks; what each one found is added as it passes."""
+def _finding(journal: Journal, spec: RunSpec, found: list[Finds]) -> Iterator[Rows]:
+    """The rows that a journal holds, in blocks; what each one found is added as it passes."""
     before = 0
-    for block in blocks:
-        found.append(Finds.among(block, overlaps, before))
-        before += int(counted(block, overlaps).sum())
+    for block in journal.kept():
+        if journal.sources:
+            found.append(Finds.placed(block, spec.population))
+        else:
+            found.append(Finds.among(block, spec.overlaps, before))
+            before += int(counted(block, spec.overlaps).sum())
         yield block

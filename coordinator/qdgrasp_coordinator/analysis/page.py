@@ -10,7 +10,7 @@ from qdgrasp_coordinator.analysis.findings import FEW, Finding
 from qdgrasp_coordinator.analysis.tables import Row, method_rows
 
 NAMED = 10
-"""Unfinished runs that are named."""
+"""So many runs of a kind are named."""
 MARK = " \\*"
 """Of what few runs are behind."""
 CAPTIONS = {
@@ -55,11 +55,18 @@ COUNTED = {"count": "every genome", "redraw": "the simulated"}
 """What an evaluation is, by whether overlaps count."""
 
 
-def page(name: str, entries: Sequence[Entry], claims: Sequence[Judged], figures: Mapping[str, str]) -> str:
+def page(
+    name: str,
+    entries: Sequence[Entry],
+    claims: Sequence[Judged],
+    figures: Mapping[str, str],
+    without_curves: Sequence[str] = (),
+) -> str:
     """All of an analysis in words; `figures` says why one was left out."""
     parts = [
         f"# {name}\n",
         _overview(entries),
+        *([f"{left_out(without_curves)}\n"] if without_curves else []),
         "## What the paper claims\n",
         _claims(claims),
         *(_figure(figure, missing) for figure, missing in figures.items()),
@@ -71,6 +78,14 @@ def page(name: str, entries: Sequence[Entry], claims: Sequence[Judged], figures:
         *_scenes(entries),
     ]
     return "\n".join(parts)
+
+
+def left_out(runs: Sequence[str]) -> str:
+    """What is said of runs whose history cannot be told any more, by their names."""
+    verb = "run is" if len(runs) == 1 else "runs are"
+    more = f" and {len(runs) - NAMED} more" if len(runs) > NAMED else ""
+    names = ", ".join(runs[:NAMED])
+    return f"{len(runs)} {verb} left out, of which only the successes were kept: {names}{more}."
 
 
 def _overview(entries: Sequence[Entry]) -> str:

@@ -15,6 +15,7 @@ from pathlib import Path
 from qdgrasp_coordinator.analysis.claims import Judged, judged
 from qdgrasp_coordinator.analysis.curve_figures import draw_curves, draw_matrix
 from qdgrasp_coordinator.analysis.entries import Entry, entries, histories, run_folders
+from qdgrasp_coordinator.analysis.history import has_curves
 from qdgrasp_coordinator.analysis.nu_figure import draw_nu, leans
 from qdgrasp_coordinator.analysis.page import page
 from qdgrasp_coordinator.analysis.palette import family_of
@@ -49,6 +50,8 @@ class Report:
     claims: list[Judged]
     figures: dict[str, str]
     """By name, why a figure was left out; empty for those that were drawn."""
+    without_curves: list[str]
+    """The names of runs that were left out: of their rows those that are kept do not suffice."""
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -87,11 +90,17 @@ def report(
     Raises
     ------
     FolderError
-        There is no run, none has recorded an evaluation, one cannot be read, or `out` cannot be written.
+        There is no run, none has recorded an evaluation or has curves, one cannot be read, or `out` cannot
+        be written.
     UnknownName
         No run is of this method; those that there are are named.
     """
-    arms = entries(histories(run_folders(path), Targets(references)))
+    there = run_folders(path)
+    folders = [folder for folder in there if has_curves(folder)]
+    if not folders:
+        raise FolderError(f"Of every run in {path} only the successes were kept; curves need every row.")
+    without_curves = [folder.path.absolute().name for folder in there if folder not in folders]
+    arms = entries(histories(folders, Targets(references)))
     begun = [entry for entry in arms if any(run.evaluations for run in entry.runs)]
     if not begun:
         raise FolderError(f"No run in {path} has recorded an evaluation yet; there is nothing to draw.")
@@ -105,8 +114,8 @@ def report(
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
             _write(out / f"{name}.csv", csv_text(rows))
-        _write(out / "tables.md", page(path.absolute().name, arms, claims, figures))
-    return Report(out, arms, claims, figures)
+        _write(out / "tables.md", page(path.absolute().name, arms, claims, figures, without_curves))
+    return Report(out, arms, claims, figures, without_curves)
 
 
 def _draw(begun: Sequence[Entry], out: Path, method: str | None, log: bool) -> dict[str, str]:

@@ -80,7 +80,7 @@ def median_run(entry: Entry) -> History:
 def _voxels(name: SceneName, run: History) -> Voxels:
     folder, per_success = RunFolder(run.path), trials(run.spec.protocol)
     with folder.journal() as journal:
-        found = np.concatenate([journal.shape.empty(0), *scored(journal.blocks(), per_success)])
+        found = np.concatenate([journal.shape.empty(0), *scored(journal.kept(), per_success)])
     best = best_in_cells(found)
     return Voxels(name, run, folder.scene(), best, eta(best["fitness"], per_success) if per_success else None)
 

@@ -14,8 +14,8 @@ def prune(
 ) -> None:
     """Drop the failures of finished runs for good; successes, their trials and all figures stay.
 
-    A pruned run cannot be gone on with, has no digest and no curves. Of a campaign's runs those that are not
-    finished stay as they are.
+    A pruned run cannot be gone on with and has no digest; it has curves where every genome counts as an
+    evaluation (overlaps = "count"). Of a campaign's runs those that are not finished stay as they are.
 
     Example: qdgrasp prune runs/demo
     """

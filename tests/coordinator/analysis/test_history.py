@@ -1,3 +1,4 @@
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,12 @@ from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_coordinator.analysis.coverage import coverage
 from qdgrasp_coordinator.analysis.growth import growth
-from qdgrasp_coordinator.analysis.history import Finds, History, Steps, history
+from qdgrasp_coordinator.analysis.history import Finds, History, Steps, has_curves, history
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
 from qdgrasp_coordinator.analysis.target import Target
+from qdgrasp_coordinator.keeping.pruning import prune
+from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.trials import TRIALS
@@ -119,3 +122,43 @@ def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(
 def test_a_run_that_has_not_begun_has_found_nothing(tmp_path: Path, make_scene: SceneMaker) -> None:
     found = told(tmp_path, make_scene, random_rows(0))
     assert (found.evaluations, found.complete, found.near_share, found.cells.end) == (0, False, None, 0)
+
+
+def flat(told: object) -> list[object]:
+    """All values of a history, one behind the other."""
+    if is_dataclass(told):
+        return [value for field in fields(told) for value in flat(getattr(told, field.name))]
+    return [told.tolist() if isinstance(told, np.ndarray) else told]
+
+
+@pytest.mark.parametrize("protocol", ["paper", "robust"])
+def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(
+    tmp_path: Path, make_scene: SceneMaker, protocol: str
+) -> None:
+    nominal = random_rows(100, seed=4)
+    successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
+    repeated = np.repeat(successes, TRIALS)
+    repeated["trial"] = np.tile(np.arange(1, TRIALS + 1), len(successes))
+    rows = np.concatenate([nominal, repeated]) if protocol == "robust" else nominal
+    rows = rows[np.lexsort((rows["index"], rows["trial"] > 0, rows["generation"]))]
+    settings = {"protocol": protocol, "evaluations": 100, "overlaps": "count"}
+    folder = record(tmp_path / "run", make_scene(), rows, **settings)
+    before = history(folder, Target(KNOWN, ARCHIVE))
+    assert before.successes > 20
+    prune(folder)
+    assert has_curves(folder)
+    assert flat(history(folder, Target(KNOWN, ARCHIVE))) == flat(before)
+
+
+def test_a_pruned_run_whose_overlaps_do_not_count_has_no_curves(
+    tmp_path: Path, make_scene: SceneMaker
+) -> None:
+    rows = random_rows(100)
+    rows["outcome"][-1] = Outcome.HELD
+    simulated = int((rows["outcome"] > Outcome.OVERLAP).sum())
+    folder = record(tmp_path / "run", make_scene(), rows, evaluations=simulated, overlaps="redraw")
+    assert has_curves(folder)
+    prune(folder)
+    assert not has_curves(folder)
+    with pytest.raises(FolderError, match="keeps the successes alone"):
+        history(folder, Target(KNOWN, ARCHIVE))

@@ -9,11 +9,13 @@ from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import SceneMaker
 from typer.testing import CliRunner
 
+from qdgrasp_coordinator.analysis.entries import run_folders
 from qdgrasp_coordinator.analysis.harvest import build
 from qdgrasp_coordinator.analysis.report import Report, report
 from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.keeping.pruning import prune
 from qdgrasp_protocol.errors import FolderError, UnknownName
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.trials import TRIALS
@@ -167,3 +169,35 @@ def test_the_command_prints_the_verdicts(campaign: Path) -> None:
         {"hands"},
     )
     assert {row["method"] for row in table(campaign / "analysis/voxels.csv")} == {"contact_rand"}
+
+
+def test_a_campaign_is_analysed_alike_after_its_runs_were_pruned(campaign: Path) -> None:
+    before = analysed(campaign, method="contact_me_scs")
+    content = {file.name: file.read_bytes() for file in before.out.iterdir()}
+    finished = [folder for folder in run_folders(campaign) if summary(folder).complete]
+    assert len(finished) == 4
+    for folder in finished:
+        prune(folder)
+    after = analysed(campaign, method="contact_me_scs")
+    assert {file.name: file.read_bytes() for file in after.out.iterdir()} == content
+    assert after.without_curves == []
+
+
+def test_a_pruned_run_without_curves_is_left_out_and_that_is_said(
+    campaign: Path, make_scene: SceneMaker
+) -> None:
+    rows = random_rows(100)
+    rows["outcome"][-1] = Outcome.HELD
+    simulated = int((rows["outcome"] > Outcome.OVERLAP).sum())
+    settings = {"method": "aimed", "evaluations": simulated, "overlaps": "redraw"}
+    prune(record(campaign / "runs" / "jaw-block-aimed-s0", make_scene(), rows, **settings))
+    done = CliRunner().invoke(app, ["analyse", str(campaign)])
+    assert done.exit_code == 0, done.output
+    said = "1 run is left out, of which only the successes were kept: jaw-block-aimed-s0."
+    assert said in done.output
+    assert said in (campaign / "analysis" / "tables.md").read_text()
+    assert "6 runs, 2 of them unfinished" in done.output
+    as_json = CliRunner().invoke(app, ["analyse", str(campaign), "--json"])
+    assert json.loads(as_json.output)["without_curves"] == ["jaw-block-aimed-s0"]
+    with pytest.raises(FolderError, match=r"Of every run in .* only the successes were kept"):
+        report(campaign / "runs" / "jaw-block-aimed-s0", campaign / "none")

@@ -15,8 +15,6 @@ from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.harvest import harvested
-from qdgrasp_coordinator.analysis.history import history
-from qdgrasp_coordinator.analysis.target import Target
 from qdgrasp_coordinator.campaigns.summary import Summary, summary
 from qdgrasp_coordinator.counts.stretch import Stretch
 from qdgrasp_coordinator.counts.tally import successes
@@ -99,7 +97,6 @@ def test_what_needs_every_row_is_refused_with_the_digest_that_the_run_had(runs) 
     prune(run)
     acts = (
         lambda: digest_of(run),
-        lambda: history(run, Target(why="none")),
         lambda: prune(run),
         lambda: JournalWriter.open(run.path),
     )
