@@ -1,5 +1,6 @@
 """Figures in a few characters."""
 
+SIZES = ("", "k", "M", "G", "T")
 UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
@@ -9,12 +10,13 @@ def count(number: float) -> str:
 
 
 def short(number: float) -> str:
-    """A count in at most five characters: 950, 41.2k, 1.2M."""
-    for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
-        if number >= size * 9.995:
-            scaled = number / size
-            return f"{scaled:.1f}{unit}" if scaled < 99.95 else f"{scaled:.0f}{unit}"
-    return f"{number:.0f}" if number >= 10 or number == int(number) else f"{number:.1f}"
+    """A count in at most five characters: 0.8, 950, 41.2k, 1.2M."""
+    if number < 9_999.5:
+        return f"{number:.0f}" if number >= 10 or number == int(number) else f"{number:.1f}"
+    unit = 0
+    while number >= 999.5 and unit < len(SIZES) - 1:
+        number, unit = number / 1000, unit + 1
+    return f"{number:.1f}{SIZES[unit]}" if number < 99.95 else f"{number:.0f}{SIZES[unit]}"
 
 
 def part(some: float, total: float) -> str:
@@ -30,7 +32,10 @@ def span(seconds: float) -> str:
         return f"{whole} s"
     if whole < 3600:
         return f"{whole // 60}:{whole % 60:02d}"
-    return f"{whole // 3600}:{whole // 60 % 60:02d} h" if whole < 86_400 else f"{whole / 86_400:.1f} d"
+    if whole < 86_400:
+        return f"{whole // 3600}:{whole // 60 % 60:02d} h"
+    days = whole / 86_400
+    return f"{days:.1f} d" if days < 99.95 else f"{days:.0f} d"
 
 
 def size(number: float) -> str:

@@ -1,0 +1,172 @@
+"""What stands on a terminal, in the room that it has."""
+
+import io
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.cells import cell_len
+from rich.console import Console
+from tests.coordinator.monitor.shown import event, worker
+from tests.coordinator.monitor.terminal.seen import ENDPOINT, job, shown
+
+from qdgrasp_coordinator.monitor.terminal.choice import Choice
+from qdgrasp_coordinator.monitor.terminal.frame import LEAST, Shown, frame, page, shared, sheet
+from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII, UNICODE, Glyphs
+
+ONE = shown(job())
+MANY = shown(
+    job("cubes", runs=24), job("mugs"), job("a-job-with-a-name-that-is-much-too-long-for-its-column")
+)
+SIZES = [(80, 24), (200, 60), (100, 30), (120, 40), (60, 20), LEAST]
+
+
+def drawn(
+    what: Shown, width: int, height: int, choice: Choice | None = None, glyphs: Glyphs = UNICODE
+) -> list[str]:
+    """The lines as a terminal of that size gets them."""
+    console = Console(file=io.StringIO(), width=width, height=height, force_terminal=True, color_system=None)
+    for line in frame(what, choice or Choice(), width, height, glyphs):
+        console.print(line)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue().splitlines()
+
+
+def text(what: Shown, width: int, height: int, choice: Choice | None = None, glyphs: Glyphs = UNICODE) -> str:
+    return "\n".join(drawn(what, width, height, choice, glyphs))
+
+
+class TestRoom:
+    @pytest.mark.parametrize(("width", "height"), SIZES)
+    @pytest.mark.parametrize("what", [ONE, MANY, shown()], ids=["one", "many", "none"])
+    @pytest.mark.parametrize("long", ["", "runs", "workers", "events"])
+    @pytest.mark.parametrize("glyphs", [UNICODE, ASCII], ids=["unicode", "ascii"])
+    def test_a_frame_fills_its_terminal_exactly(
+        self, width: int, height: int, what: Shown, long: str, glyphs: Glyphs
+    ) -> None:
+        lines = drawn(what, width, height, Choice(long=long, top=3), glyphs)  # type: ignore[arg-type]
+        assert len(lines) == height
+        assert max(map(cell_len, lines)) <= width
+
+    def test_eighty_columns_and_24_lines_show_the_essential(self) -> None:
+        seen = text(ONE, 80, 24)
+        for words in (
+            ENDPOINT, "mugs", "running", "24 900 of 100 000 evaluations", "25 %", "15:05 left", "83/s lately",
+            "2 766 successes", "498 cells", "830 robust", "0 errors", "overlap 40%", "no contact", "dropped",
+            "held", "evaluations/s 83", "cells 498", "15 working, 15 idle on 7 hosts", "node-0", "310 MB",
+            "leases", "rows/s",
+            "Worker 19 joined.", "q quit",
+        ):  # fmt: skip
+            assert words in seen
+
+    def test_a_large_terminal_shows_more(self) -> None:
+        small, large = text(MANY, 80, 24), text(MANY, 200, 60)
+        assert "panda-mug-aimed-s1" not in small
+        for words in ("panda-mug-aimed-s0", "panda-mug-aimed-s1", "Worker 15 joined.", "restarts"):
+            assert words in large
+        assert large.count("node-") > small.count("node-")
+        assert large.count("Worker 1") > small.count("Worker 1")
+
+    def test_what_is_left_out_is_counted(self) -> None:
+        assert "(27 more)" in text(ONE, 80, 24)
+
+    def test_ascii_is_ascii(self) -> None:
+        for width, height in SIZES:
+            assert text(MANY, width, height, glyphs=ASCII).isascii()
+
+    def test_a_terminal_that_is_too_small_says_how_large_it_must_be(self) -> None:
+        assert text(ONE, 30, 8) == "40 columns, 12 lines"
+
+
+class TestLongLists:
+    def test_a_long_list_has_all_the_room_and_scrolls(self) -> None:
+        first = text(ONE, 80, 24, Choice(long="workers"))
+        later = text(ONE, 80, 24, Choice(long="workers", top=12))
+        assert "workers of mugs: 1 to 18 of 30" in first
+        assert "workers of mugs: 13 to 30 of 30" in later
+        assert first.count("node-") == later.count("node-") == 18
+
+    def test_a_page_is_as_many_rows_as_are_seen(self) -> None:
+        rows = page(ONE, Choice(long="workers"), 80, 24, UNICODE)
+        assert text(ONE, 80, 24, Choice(long="workers")).count("node-") == rows
+
+    def test_the_job_that_is_chosen_is_among_those_that_are_seen(self) -> None:
+        many = shown(*(job(f"job-{number:02}", seconds=2) for number in range(40)))
+        for number in (0, 20, 39):
+            assert f"▸{'' if number > 8 else f'  {number + 1}'}" in text(
+                many, 80, 24, Choice(job=f"job-{number:02}")
+            )
+            assert f"── job-{number:02} ──" in text(many, 80, 24, Choice(job=f"job-{number:02}"))
+
+
+class TestTrouble:
+    def test_workers_in_trouble_come_first(self) -> None:
+        workers = [
+            worker(0, host="well"),
+            worker(1, host="lost", state="gone"),
+            worker(2, host="slow", state="stuck"),
+        ]
+        seen = text(shown(job(workers=workers)), 80, 24)
+        assert seen.index("lost") < seen.index("slow") < seen.index("well")
+
+    @pytest.mark.parametrize(
+        ("view", "words"),
+        [
+            (job(later=9.0), "nothing was heard of it for 9 s"),
+            (job(trouble="the disk is full"), "waits: the disk is full"),
+            (job(recorders=0), "no recorder is there"),
+            (job(state="paused"), "paused until `qdgrasp continue mugs`"),
+            (job(waiting=1234), "1 234 rows not on disk yet"),
+            (job(requeued=3, strays=2), "3 batches given again · 2 results dropped"),
+            (job(workers=[]), "workers: none has joined"),
+        ],
+        ids=["silent", "disk", "recorder", "paused", "behind", "requeued", "alone"],
+    )  # fmt: skip
+    def test_what_is_in_the_way_is_said(self, view, words: str) -> None:
+        assert words in text(shown(view), 80, 24)
+
+    def test_a_router_that_is_away_is_said(self) -> None:
+        assert "The router is away" in text(shown(job(), is_linked=False), 80, 24)
+
+    def test_jobs_of_another_version_are_named(self) -> None:
+        assert "Watch with their own version of qdgrasp-monitor: old" in text(
+            shown(strangers=["old"]), 80, 24
+        )
+
+    def test_where_there_is_no_job_it_is_said_what_to_do(self) -> None:
+        seen = text(shown(), 80, 24)
+        assert f"No job is at {ENDPOINT}" in seen
+        assert "qdgrasp run" in seen
+
+    def test_a_job_without_an_evaluation_can_be_seen(self) -> None:
+        for width, height in SIZES:
+            assert "mugs" in text(shown(job(seconds=1, evaluations=0, budget=0, rate=0.0)), width, height)
+
+    def test_what_others_wrote_is_escaped(self) -> None:
+        evil = "\x1b[2J\n\u202eevil"
+        view = job(
+            trouble=evil, workers=[worker(0, host=evil, state=evil)], events=[event(1, evil, kind="trouble")]
+        )
+        for glyphs in (UNICODE, ASCII):
+            for long in ("", "workers", "events"):
+                seen = text(shown(view), 200, 60, Choice(long=long), glyphs)  # type: ignore[arg-type]
+                assert "\x1b" not in seen
+                assert "\u202e" not in seen
+                assert "\\x1b[2J\\n\\u202eevil" in seen
+
+
+def test_a_sheet_shows_everything_of_all_jobs() -> None:
+    seen = [line.plain for line in sheet(MANY, 80, UNICODE)]
+    assert max(map(cell_len, seen)) <= 80
+    assert sum("node-" in line for line in seen) == 90
+    assert sum(line.startswith("── ") and "running" in line for line in seen) == 3
+
+
+@given(st.integers(0, 60), st.lists(st.tuples(st.integers(0, 5), st.integers(0, 30)), max_size=5))
+def test_parts_share_the_room_and_the_first_come_first(room: int, wishes: list[tuple[int, int]]) -> None:
+    wishes = [(least, max(least, most)) for least, most in wishes]
+    given_ = shared(room, wishes)
+    assert sum(given_) <= room
+    assert all(wide == 0 or least <= wide <= most for wide, (least, most) in zip(given_, wishes, strict=True))
+    if wishes and wishes[0][0] <= room:
+        assert given_[0] >= wishes[0][0]

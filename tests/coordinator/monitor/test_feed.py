@@ -1,0 +1,172 @@
+"""The feed: from the bus into the model, at nobody's cost."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+from tests.coordinator.monitor.shown import curve, figures, run, values
+from tests.endpoints import own_endpoint
+
+from qdgrasp_coordinator.counts.figures import to_json
+from qdgrasp_coordinator.monitor.feed import NEWS, Feed
+from qdgrasp_coordinator.monitor.jobs import JobView
+from qdgrasp_protocol.bus import Bus, Channel, Query
+from qdgrasp_protocol.keys import Keys, matches
+from qdgrasp_protocol.local_bus import LocalNetwork
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+
+SOON = 10.0  # seconds that anything may take that is to happen
+MUGS = Keys("mugs")
+
+
+@contextmanager
+def coordinator(
+    bus: Bus, job: str = "mugs", epoch: int = 2, asked: list[str] | None = None
+) -> Iterator[None]:
+    """A coordinator that answers what is asked of its job."""
+    keys = Keys(job)
+    shown = values(job, epoch=epoch) | {keys.stat("curve/a"): to_json(curve("a", 3, 7))}
+
+    def answer(query: Query) -> dict[str, bytes]:
+        if asked is not None:
+            asked.append(query.key)
+        is_curves = matches(query.key, keys.stat("curve/a")) and "curve" in query.key
+        return {key: value for key, value in shown.items() if ("curve" in key) == is_curves}
+
+    with ExitStack() as stack:
+        for pattern in (keys.stat(), keys.meta, keys.recent):
+            stack.enter_context(bus.show(pattern, answer))
+        stack.enter_context(bus.token(keys.coordinator_token(epoch)))
+        yield
+
+
+def say(bus: Bus, key: str, struct: object) -> None:
+    bus.put(key, to_json(struct), encoding="application/json", channel=Channel.MONITOR)  # type: ignore[arg-type]
+
+
+def until(feed: Feed, holds: Callable[[list[JobView]], bool]) -> list[JobView]:
+    """Wait for news until the views are so."""
+    for _ in range(200):
+        if holds(found := feed.views()):
+            return found
+        feed.wait(SOON / 200)
+    raise AssertionError(f"never so: {feed.views()}")
+
+
+def is_whole(views: list[JobView]) -> bool:
+    """Whether all is there that the coordinator answers."""
+    return bool(views) and "a" in views[0].curves and len(views[0].curves["a"].points) == 3
+
+
+def test_a_feed_that_begins_late_knows_all_that_there_is() -> None:
+    network = LocalNetwork()
+    with coordinator(network.session()), Feed(network.session()) as feed:
+        (view,) = until(feed, is_whole)
+    assert (view.state, view.meta.epoch, len(view.runs), len(view.workers)) == ("running", 2, 2, 9)
+
+
+def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over() -> None:
+    network = LocalNetwork()
+    with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
+        until(feed, is_whole)
+        say(bus, MUGS.stat("job"), figures(evaluations=1234))
+        say(bus, MUGS.stat("run/c"), run("c"))
+        (view,) = until(feed, lambda views: views[0].figures.evaluations == 1234 and len(views[0].runs) == 3)
+        assert view.history.evaluations[-1] == 1234
+    say(network.session(), MUGS.stat("job"), figures(evaluations=9999))
+    assert feed.views()[0].figures.evaluations == 1234
+
+
+def test_a_feed_of_one_job_hears_and_asks_nothing_of_others() -> None:
+    network, asked = LocalNetwork(), []
+    with ExitStack() as stack:
+        bus = stack.enter_context(network.session())
+        stack.enter_context(coordinator(bus, "cubes", asked=asked))
+        stack.enter_context(coordinator(bus, "mugs"))
+        feed = stack.enter_context(Feed(network.session(), "mugs"))
+        until(feed, is_whole)
+        say(bus, Keys("cubes").stat("job"), figures(job="cubes"))
+        say(bus, MUGS.stat("job"), figures(evaluations=1234))
+        until(feed, lambda views: views[0].figures.evaluations == 1234)
+        assert [view.job for view in feed.views()] == ["mugs"]
+    assert asked == []
+
+
+def test_a_coordinator_that_goes_and_one_that_comes_are_seen() -> None:
+    network = LocalNetwork()
+    with network.session() as bus, Feed(network.session()) as feed:
+        with coordinator(bus, epoch=2):
+            until(feed, is_whole)
+        until(feed, lambda views: views[0].state == "gone")
+        with coordinator(bus, epoch=3):
+            (view,) = until(feed, lambda views: views[0].meta.epoch == 3 and views[0].state == "running")
+            assert view.silent < SOON
+
+
+def test_a_feed_survives_that_it_is_cut_off() -> None:
+    network = LocalNetwork()
+    near = network.session()
+    with network.session() as bus, Feed(near) as feed, coordinator(bus):
+        until(feed, is_whole)
+        near.cut()
+        until(feed, lambda _: not feed.is_linked)
+        assert feed.views()[0].state != "gone"
+        near.mend()
+        say(bus, MUGS.stat("job"), figures(evaluations=1234))
+        until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
+
+
+def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known() -> None:
+    network = LocalNetwork()
+    with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
+        until(feed, is_whole)
+        for number in range(2 * NEWS["stat/job"]):
+            say(bus, MUGS.stat("job"), figures(evaluations=5000 + number))
+        last = 5000 + 2 * NEWS["stat/job"] - 1
+        until(feed, lambda views: views[0].figures.evaluations == last)
+
+
+def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts() -> None:
+    network, done = LocalNetwork(), threading.Event()
+    with network.session() as bus, Feed(network.session()) as feed:
+
+        def put() -> None:
+            for number in range(5000):
+                say(bus, MUGS.stat("job"), figures(evaluations=number))
+            done.set()
+
+        with feed._news:  # a reader that does not get on
+            threading.Thread(target=put).start()
+            assert done.wait(SOON)
+
+
+def test_waiting_ends_with_news_and_without_them() -> None:
+    network = LocalNetwork()
+    with network.session() as bus, Feed(network.session()) as feed:
+        while feed.wait(0.5):  # its first questions, which nobody answers
+            pass
+        threading.Timer(0.1, say, (bus, MUGS.stat("job"), figures())).start()
+        assert feed.wait(SOON)
+
+
+@pytest.mark.parametrize("restarts", [2])
+def test_a_feed_survives_restarts_of_the_router(restarts: int) -> None:
+    endpoint = own_endpoint()
+    with ExitStack() as stack:
+        router = stack.enter_context(ZenohBus.router(endpoint))
+        far = stack.enter_context(ZenohBus.connect(endpoint, SOON))
+        feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, SOON))))
+        stack.enter_context(coordinator(far))
+        until(feed, is_whole)
+        for turn in range(restarts):
+            router.close()
+            until(feed, lambda _: not feed.is_linked)
+            router = stack.enter_context(ZenohBus.router(endpoint))
+
+            def is_heard(views: list[JobView], number: int = 2000 + turn) -> bool:
+                say(far, MUGS.stat("job"), figures(evaluations=number))
+                return views[0].figures.evaluations == number
+
+            (view,) = until(feed, is_heard)
+            assert view.state == "running"
