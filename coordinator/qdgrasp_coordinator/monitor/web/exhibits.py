@@ -4,14 +4,15 @@ import threading
 import time
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 
 import msgspec
+import numpy as np
 
 from qdgrasp_coordinator.analysis.hand import Hand, hand
 from qdgrasp_coordinator.counts.entry import RunEntries
-from qdgrasp_coordinator.monitor.records import Records
+from qdgrasp_coordinator.monitor.records import Page, Records
 from qdgrasp_coordinator.monitor.web import geometry
 from qdgrasp_coordinator.monitor.web.voxels import Voxels
 from qdgrasp_protocol.errors import InputError
@@ -69,15 +70,22 @@ class Exhibit:
         began = self._clock()
         if began - self._read < FRESH and self._voxels.next >= self._voxels.rows:
             return
+        pages = list(self._pages(began + PATIENCE))
+        if pages[-1].rows < self._voxels.next:  # another journal, or one that fell back
+            self._origin = (self._origin + 1) % (1 << 32)
+            self._voxels = Voxels(self._origin)
+            pages = list(self._pages(began + PATIENCE))
+        self._voxels.insert(np.concatenate([page.found for page in pages]), pages[-1].next, pages[-1].rows)
+        self._read = self._clock()
+
+    def _pages(self, until: float) -> Iterator[Page]:
+        """What was found since, page by page; at least one."""
+        first = self._voxels.next
         while True:
-            page = self._records.page(self._job, self._run, self._voxels.next)
-            if page.rows < self._voxels.next:  # another journal, or one that fell back
-                self._origin = (self._origin + 1) % (1 << 32)
-                self._voxels = Voxels(self._origin)
-                continue
-            self._voxels.insert(page.found, page.next, page.rows)
-            self._read = self._clock()
-            if page.next >= page.rows or self._read - began > PATIENCE:
+            page = self._records.page(self._job, self._run, first)
+            yield page
+            first = page.next
+            if first >= page.rows or self._clock() > until:
                 return
 
 

@@ -14,7 +14,7 @@ const PATIENCE = 10000; // ms at most between them while nobody answers
 const TAP = 5; // px: who moved farther has turned the view
 const NEAR = { mouse: 3, pen: 6, touch: 14 }; // px: so close to a voxel is on it
 const CUT_OPEN = 600; // cells: of more, those toward the viewer's right are left out at first
-const COLOURS = { object: "#f7e6ca", hand: "#009e8c", mark: "#22262b", flash: "#ffffff" };
+const COLOURS = { object: "#f7e6ca", hand: "#009e8c", mark: "#22262b", flash: "#ffffff", paper: "#ffffff" };
 
 export class SceneView {
   /** Called with what the server says of the chosen grasp; null: none is chosen. */
@@ -91,12 +91,7 @@ export class SceneView {
   home() {
     const low = new Vector3(...this.told.low), high = new Vector3(...this.told.high);
     const middle = low.clone().add(high).divideScalar(2);
-    let farthest = high.distanceTo(low) / 2;
-    const place = new Vector3();
-    for (let slot = 0; slot < this.voxels.size; slot++) {
-      farthest = Math.max(farthest, place.fromArray(this.voxels.cell(slot)).multiplyScalar(CELL).distanceTo(middle));
-    }
-    this.stage.look(middle, farthest + CELL);
+    this.stage.look(middle, Math.max(high.distanceTo(low) / 2, this.voxels.farthest) + CELL);
   }
 
   /** Which kinds of cells are shown: a flag for each. */
@@ -219,13 +214,13 @@ export class SceneView {
   }
 
   /** The journal number of the voxel at a place on the canvas [px]; null where there is none. */
-  #at(x, y, near) {
+  async #at(x, y, near) {
     const { stage, voxels } = this;
     const { right, up, toward, scale } = stage.lens;
     stage.lens.aim();
     const size = voxels.aim({ right, up, toward, scale });
     const side = 2 * Math.max(Math.ceil(size / 2), near) + 1;
-    const pixels = stage.sample(x, y, side, (camera) => {
+    const pixels = await stage.sample(x, y, side, (camera) => {
       voxels.material = voxels.named;
       stage.renderer.render(voxels, camera);
     });
@@ -244,11 +239,12 @@ export class SceneView {
     this.#down = isPrimary ? [clientX, clientY] : null;
   };
 
-  #released = ({ clientX, clientY, button, pointerType }) => {
+  #released = async ({ clientX, clientY, button, pointerType }) => {
     const moved = this.#down && Math.hypot(clientX - this.#down[0], clientY - this.#down[1]);
     if (!this.voxels || this.#down === null || moved > TAP || button) return;
     const { left, top } = this.canvas.getBoundingClientRect();
-    this.select(this.#at(clientX - left, clientY - top, NEAR[pointerType] ?? NEAR.mouse));
+    const number = await this.#at(clientX - left, clientY - top, NEAR[pointerType] ?? NEAR.mouse);
+    if (!this.#stopped) this.select(number);
   };
 
   #key = (event) => {
@@ -260,7 +256,7 @@ export class SceneView {
     this.body.material.uniforms.colour.value = raw(this.#colour("object"));
     this.hand.wear(this.#colour("hand"));
     this.mark.wear(this.#colour("mark"));
-    this.voxels.flash = this.#colour("flash");
+    this.voxels.wear(this.#colour("flash"), this.#colour("paper"));
     this.stage.invalidate();
   };
 

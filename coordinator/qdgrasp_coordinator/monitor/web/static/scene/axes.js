@@ -2,6 +2,7 @@
 
 const SVG = "http://www.w3.org/2000/svg";
 const NAMES = ["x", "y", "z"];
+const HEIGHT = 92; // px, as the style sheet says: little to draw anew while the view turns
 const ARM = 26; // px
 const LENGTHS = [0.05, 0.02, 0.01, 0.005, 0.1, 0.2, 0.5]; // m: the first that fits
 const SHORTEST = 28, LONGEST = 150; // px
@@ -29,11 +30,11 @@ export class Axes {
   #bar;
   #words;
 
-  /** Draw for a canvas of this size [px], seen along these axes, with so many pixels in a metre. */
-  draw({ width, height, right, up, scale }) {
-    NAMES.forEach((name, k) => this.#arm(this.#arms[k], 44, height - 42, right[name], -up[name]));
+  /** Draw for a canvas of this width [px], seen along these axes, with so many pixels in a metre. */
+  draw({ width, right, up, scale }) {
+    NAMES.forEach((name, k) => this.#arm(this.#arms[k], 44, HEIGHT - 42, right[name], -up[name]));
     const length = LENGTHS.find((each) => each * scale > SHORTEST && each * scale < LONGEST) ?? LENGTHS.at(-1);
-    const x = width - 18, y = height - 16;
+    const x = width - 18, y = HEIGHT - 16;
     put(this.#bar, { x1: x - length * scale, x2: x, y1: y, y2: y });
     put(this.#words, { x: x - (length * scale) / 2, y: y - 7 });
     const words = `${100 * length} cm`;

@@ -2,7 +2,7 @@
 
 import { element } from "../element.js";
 
-const MILLIMETRES = (values) => `${values.map((value) => (1000 * value).toFixed(1)).join("  ")} mm`;
+const MILLIMETRES = (values) => `${values.map((value) => (1000 * value).toFixed(1)).join(", ")} mm`;
 
 export class Card {
   constructor(node, onclose) {
@@ -25,8 +25,8 @@ export class Card {
 
 function figures({ words, fitness, cell, position, quaternion }) {
   const lines = [
-    ["Outcome", words], ["Fitness", String(fitness)], ["Cell", cell.join("  ")],
-    ["Position", MILLIMETRES(position)], ["Quaternion", quaternion.map((part) => part.toFixed(3)).join("  ")],
+    ["Outcome", words], ["Fitness", String(fitness)], ["Cell", cell.join(", ")],
+    ["Position", MILLIMETRES(position)], ["Quaternion", quaternion.map((part) => part.toFixed(3)).join(", ")],
   ];
   return element("dl", {}, ...lines.map(([name, value]) => element("div", {}, element("dt", {}, name), element("dd", {}, value))));
 }

@@ -1,12 +1,14 @@
 // The pace: how finely the view is drawn while it moves, so that it stays fluid, also without a graphics card.
 
-/** From fine to coarse: pixels drawn per pixel of the page along each side, and whether voxels are plain squares. */
+/** From fine to coarse: pixels drawn per pixel of the page along each side, whether voxels are plain squares, and
+ *  the share of them that is drawn, those found first. */
 const LEVELS = [
-  { scale: 1, plain: false },
-  { scale: 0.7, plain: false },
-  { scale: 0.5, plain: false },
-  { scale: 0.5, plain: true },
-  { scale: 0.35, plain: true },
+  { scale: 1, plain: false, share: 1 },
+  { scale: 0.7, plain: false, share: 1 },
+  { scale: 0.5, plain: false, share: 1 },
+  { scale: 0.5, plain: true, share: 1 },
+  { scale: 0.5, plain: true, share: 0.5 },
+  { scale: 0.4, plain: true, share: 0.25 },
 ];
 const SLOW = 40; // ms: a frame that takes longer is drawn more coarsely next time
 const QUICK = 12; // ms: below it, more finely

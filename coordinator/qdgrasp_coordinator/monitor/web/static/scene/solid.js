@@ -56,14 +56,26 @@ function bytes(base64) {
   return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)).buffer;
 }
 
+/** Each corner's normal is the mean of the faces around it that are no crease away, weighed by their areas. */
 function creased(vertices, corners) {
   const normals = faceNormals(vertices, corners);
-  const around = facesAround(vertices.length / 3, corners);
+  const { first, faces } = facesAround(vertices.length / 3, corners);
   const position = new Float32Array(3 * corners.length), normal = new Float32Array(3 * corners.length);
-  corners.forEach((vertex, corner) => {
-    position.set(vertices.subarray(3 * vertex, 3 * vertex + 3), 3 * corner);
-    smooth(normals, Math.floor(corner / 3), around, vertex, normal, 3 * corner);
-  });
+  for (let corner = 0; corner < corners.length; corner++) {
+    const vertex = corners[corner], own = 4 * ((corner / 3) | 0);
+    let x = 0, y = 0, z = 0;
+    for (let i = first[vertex]; i < first[vertex + 1]; i++) {
+      const other = 4 * faces[i];
+      const turned = normals[own] * normals[other] + normals[own + 1] * normals[other + 1] + normals[own + 2] * normals[other + 2];
+      const weight = turned < CREASE && own !== other ? 0 : normals[other + 3];
+      x += weight * normals[other];
+      y += weight * normals[other + 1];
+      z += weight * normals[other + 2];
+    }
+    const length = Math.sqrt(x * x + y * y + z * z) || 1;
+    normal.set([x / length, y / length, z / length], 3 * corner);
+    for (let k = 0; k < 3; k++) position[3 * corner + k] = vertices[3 * vertex + k];
+  }
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(position, 3));
   geometry.setAttribute("normal", new BufferAttribute(normal, 3));
@@ -72,14 +84,15 @@ function creased(vertices, corners) {
 
 /** (4 f): each face's unit normal, and twice its area. */
 function faceNormals(vertices, corners) {
-  const normals = new Float32Array(corners.length / 3 * 4);
+  const normals = new Float32Array((corners.length / 3) * 4);
+  const edge = (from, to, k) => vertices[3 * to + k] - vertices[3 * from + k];
   for (let face = 0; face < corners.length / 3; face++) {
-    const [a, b, c] = [0, 1, 2].map((k) => 3 * corners[3 * face + k]);
-    const u = [0, 1, 2].map((k) => vertices[b + k] - vertices[a + k]);
-    const v = [0, 1, 2].map((k) => vertices[c + k] - vertices[a + k]);
-    const cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-    const area = Math.hypot(...cross);
-    normals.set([...cross.map((part) => part / (area || 1)), area], 4 * face);
+    const a = corners[3 * face], b = corners[3 * face + 1], c = corners[3 * face + 2];
+    const x = edge(a, b, 1) * edge(a, c, 2) - edge(a, b, 2) * edge(a, c, 1);
+    const y = edge(a, b, 2) * edge(a, c, 0) - edge(a, b, 0) * edge(a, c, 2);
+    const z = edge(a, b, 0) * edge(a, c, 1) - edge(a, b, 1) * edge(a, c, 0);
+    const area = Math.sqrt(x * x + y * y + z * z);
+    normals.set([x / (area || 1), y / (area || 1), z / (area || 1), area], 4 * face);
   }
   return normals;
 }
@@ -90,19 +103,6 @@ function facesAround(count, corners) {
   for (const vertex of corners) first[vertex + 1] += 1;
   for (let vertex = 0; vertex < count; vertex++) first[vertex + 1] += first[vertex];
   const place = first.slice();
-  corners.forEach((vertex, corner) => (faces[place[vertex]++] = Math.floor(corner / 3)));
+  for (let corner = 0; corner < corners.length; corner++) faces[place[corners[corner]]++] = (corner / 3) | 0;
   return { first, faces };
-}
-
-/** The mean normal of the faces around a corner of `face` that are no crease away, weighed by area. */
-function smooth(normals, face, { first, faces }, vertex, out, place) {
-  const [x, y, z] = normals.subarray(4 * face, 4 * face + 3);
-  const sum = [0, 0, 0];
-  for (let i = first[vertex]; i < first[vertex + 1]; i++) {
-    const other = 4 * faces[i];
-    if (x * normals[other] + y * normals[other + 1] + z * normals[other + 2] < CREASE) continue;
-    for (let k = 0; k < 3; k++) sum[k] += normals[other + k] * normals[other + 3];
-  }
-  const length = Math.hypot(...sum);
-  out.set(length ? sum.map((part) => part / length) : [x, y, z], place);
 }

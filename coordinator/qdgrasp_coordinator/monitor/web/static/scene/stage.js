@@ -50,7 +50,7 @@ export class Stage {
   #timer = 0;
   #movedAt = -Infinity;
   #before = 0;
-  #smooth = true;
+  #smooth = false;
   #gone = false;
 
   /** Have the view drawn once more. */
@@ -65,15 +65,15 @@ export class Stage {
   }
 
   /** Draw what is at a place [px of the page] with another camera, into a target; gives its pixels. */
-  sample(x, y, side, draw) {
+  async sample(x, y, side, draw) {
     const target = new WebGLRenderTarget(side, side);
     const pixels = new Uint8Array(4 * side * side);
     this.lens.aim();
     this.renderer.setRenderTarget(target);
     this.renderer.clear();
     draw(this.lens.around(x - this.lens.width / 2, this.lens.height / 2 - y, side, side));
-    this.renderer.readRenderTargetPixels(target, 0, 0, side, side, pixels);
     this.renderer.setRenderTarget(null);
+    await this.renderer.readRenderTargetPixelsAsync(target, 0, 0, side, side, pixels);
     target.dispose();
     return pixels;
   }
@@ -109,7 +109,7 @@ export class Stage {
     if (moving) this.#follow(at);
     this.onframe(at);
     this.lens.aim();
-    this.#paint(moving ? this.pace.level : { scale: this.#finest(), plain: false });
+    this.#paint(moving ? this.pace.level : { scale: this.#finest() });
     if (moving) this.invalidate();
     else this.#judge();
     this.#before = moving ? at : 0;
@@ -122,13 +122,22 @@ export class Stage {
     if (this.#before) this.pace.took(at - this.#before);
   }
 
-  /** See whether a still picture took so long that the next is better not smoothed. */
+  /** See how long a still picture takes: it is smoothed where that costs little, and by a second picture. */
   #judge() {
-    const began = performance.now(), context = this.renderer.getContext();
-    context.readPixels(0, 0, 1, 1, context.RGBA, context.UNSIGNED_BYTE, new Uint8Array(4));
-    const took = performance.now() - began;
-    this.#smooth = took < COSTLY;
-    this.rest = Math.max(BRISK, 4 * took);
+    const began = performance.now(), context = this.renderer.getContext(), smooth = this.#smooth;
+    const fence = context.fenceSync(context.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    context.flush();
+    const look = () => {
+      if (this.#gone || context.isContextLost()) return;
+      if (context.getSyncParameter(fence, context.SYNC_STATUS) !== context.SIGNALED) return (this.#timer = setTimeout(look, 4));
+      context.deleteSync(fence);
+      const took = performance.now() - began;
+      this.rest = Math.max(BRISK, 4 * took);
+      this.#smooth = took < (smooth ? COSTLY : COSTLY / 5);
+      if (this.#smooth && !smooth) this.invalidate();
+    };
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(look, 4);
   }
 
   #finest() {
@@ -136,12 +145,12 @@ export class Stage {
     return Math.min(dense, Math.sqrt(PIXELS / (this.lens.width * this.lens.height)));
   }
 
-  #paint({ scale, plain }) {
+  #paint({ scale, ...looks }) {
     const { lens, renderer, voxels } = this;
     const width = Math.max(1, Math.round(lens.width * scale)), height = Math.max(1, Math.round(lens.height * scale));
     if (this.canvas.width !== width || this.canvas.height !== height) renderer.setSize(width, height, false);
-    const { right, up, toward } = lens;
-    const size = voxels?.aim({ right, up, toward, scale: lens.scale * scale, now: performance.now() / 1000, plain }) ?? 0;
+    const now = performance.now() / 1000, { right, up, toward } = lens;
+    const size = voxels?.aim({ right, up, toward, scale: lens.scale * scale, now, ...looks }) ?? 0;
     const band = Math.ceil(size / 2); // a voxel whose middle is beyond the edge may still be seen
     renderer.setViewport(-band, -band, width + 2 * band, height + 2 * band);
     renderer.render(this.things, lens.around(0, 0, lens.width + (2 * band) / scale, lens.height + (2 * band) / scale));

@@ -2,44 +2,49 @@
 // of a cube take seconds a frame where the processor draws; as points they take milliseconds.
 
 import {
-  BufferAttribute, BufferGeometry, DynamicDrawUsage, GLSL3, Points, RawShaderMaterial, Vector3,
+  BufferAttribute, BufferGeometry, DynamicDrawUsage, GLSL3, Matrix4, Points, RawShaderMaterial, Vector3, Vector4,
 } from "../vendor/three/three.module.min.js";
 import { raw } from "./solid.js";
 
 export const CELL = 0.01; // m
 const EDGE = 0.0078; // m: less than a cell, so that voxels stay apart
 const DOT = 0.0026; // m: while a hand is shown among them
+const CELLS = new Vector3(CELL, CELL, CELL);
+const BEHIND = -1; // order of drawing
+const FADED = 0.5; // how pale they are then
 const GLOW = 1.2; // s: how long a new one shows that it is new
 const OLD = -1e6;
 const FIRST = 4096; // voxels that there is room for at first
 const CLOSE = 256; // slots: it takes longer to send two pieces than what lies between
-const AWAY = 2; // where nothing is drawn
 
+// Cells become places on the screen by one matrix; what lies behind both planes is left out.
 const PLACE = `
 in vec4 position;
-uniform mat4 viewMatrix, projectionMatrix;
-uniform vec3 right, toward, middle;
-uniform bvec3 shown;
-uniform bool cut;
-uniform float size;
-bool place(int kind) {
-  vec3 c = ${CELL} * position.xyz;
-  bool open = cut && dot(c - middle, right) > 0.0 && dot(c - middle, toward) > 0.0;
+uniform mat4 seen;
+uniform vec4 sideways, onward;
+uniform vec3 shown;
+uniform float size, cut;
+float place(vec4 cell) {
+  float near = dot(cell, onward), kind = position.w;
+  bool open = cut > 0.5 && near > 0.0 && dot(cell, sideways) > 0.0;
+  bool kept = (kind < 0.5 ? shown.x : kind < 1.5 ? shown.y : shown.z) > 0.5;
   gl_PointSize = size;
-  gl_Position = open || !shown[kind] ? vec4(${AWAY}.0) : projectionMatrix * viewMatrix * vec4(c, 1.0);
-  return true;
+  gl_Position = kept && !open ? seen * cell : vec4(2.0);
+  return near;
 }`;
 const VERTEX = `
 in float born;
-uniform vec3 colours[3], flash;
-uniform float now;
+uniform vec3 colours[3], flash, paper;
+uniform float now, faded;
 flat out vec3 colour;
 ${PLACE}
 void main() {
-  int kind = int(position.w);
-  place(kind);
-  float glow = clamp(1.0 - (now - born) / ${GLOW.toFixed(1)}, 0.0, 1.0);
-  colour = mix(colours[kind], flash, 0.85 * glow);
+  float near = place(vec4(position.xyz, 1.0)), kind = position.w;
+  colour = kind < 0.5 ? colours[0] : kind < 1.5 ? colours[1] : colours[2];
+#ifndef PLAIN
+  colour = mix(colour, flash, 0.85 * clamp(1.0 - (now - born) / ${GLOW.toFixed(1)}, 0.0, 1.0));
+#endif
+  colour = mix(colour * clamp(0.9 + 0.14 * near, 0.72, 1.06), paper, faded);
 }`;
 // The ray through a pixel enters the cube where the last of its three slabs is entered, if none was left before.
 const FRAGMENT = `
@@ -62,7 +67,7 @@ const NAMED_VERTEX = `
 flat out vec4 name;
 ${PLACE}
 void main() {
-  place(int(position.w));
+  place(vec4(position.xyz, 1.0));
   int number = gl_VertexID + 1;
   name = vec4(number & 255, (number >> 8) & 255, (number >> 16) & 255, 255) / 255.0;
 }`;
@@ -77,14 +82,16 @@ export class Voxels extends Points {
   #cells = new Int16Array(0);
   #born = new Float32Array(0);
   #uniforms = {
-    right: { value: new Vector3() }, toward: { value: new Vector3() }, middle: { value: new Vector3() },
-    shown: { value: [true, true, true] }, cut: { value: false }, size: { value: 1 }, now: { value: 0 },
+    seen: { value: new Matrix4() }, sideways: { value: new Vector4() }, onward: { value: new Vector4() },
+    shown: { value: [1, 1, 1] }, cut: { value: 0 }, size: { value: 1 }, now: { value: 0 },
     colours: { value: [] }, flash: { value: raw("#ffffff") },
+    paper: { value: raw("#ffffff") }, faded: { value: 0 },
     across: { value: new Vector3() }, down: { value: new Vector3() }, enter: { value: new Vector3() },
     thick: { value: new Vector3() }, light: { value: new Vector3() },
   };
   #edge = EDGE;
   #newest = OLD;
+  #most = 0; // m from the middle
 
   /** @param kinds the scene's kinds of success, from worst to best */
   constructor(kinds, middle) {
@@ -94,7 +101,7 @@ export class Voxels extends Points {
     this.counts = kinds.map(() => 0);
     this.frustumCulled = false;
     this.renderOrder = 1;
-    this.#uniforms.middle.value.set(...middle);
+    this.middle = new Vector3(...middle);
     this.#uniforms.colours.value = kinds.map(({ colour }) => raw(colour));
     this.fine = this.#material(VERTEX, FRAGMENT);
     this.plain = this.#material(VERTEX, FRAGMENT, { PLAIN: 1 });
@@ -138,6 +145,11 @@ export class Voxels extends Points {
     return this.#cells[4 * slot + 3];
   }
 
+  /** How far from the middle the farthest one is [m]. */
+  get farthest() {
+    return this.#most;
+  }
+
   /** The slot of the voxel with a find; -1 where there is none. */
   slotOf(number) {
     return this.numbers.subarray(0, this.size).indexOf(number);
@@ -145,39 +157,47 @@ export class Voxels extends Points {
 
   /** Which kinds are shown. */
   set shown(flags) {
-    this.#uniforms.shown.value = flags;
+    this.#uniforms.shown.value = flags.map(Number);
   }
 
   get shown() {
-    return this.#uniforms.shown.value;
+    return this.#uniforms.shown.value.map(Boolean);
   }
 
   /** Whether those toward the viewer's right are left out, so that one sees inside. */
   set cut(value) {
-    this.#uniforms.cut.value = value;
+    this.#uniforms.cut.value = Number(value);
   }
 
   get cut() {
-    return this.#uniforms.cut.value;
+    return Boolean(this.#uniforms.cut.value);
   }
 
-  /** Whether they are small, to let one see what stands among them. */
+  /** Whether they are small and pale and behind everything, to let one see what stands among them. */
   set small(value) {
+    this.renderOrder = value ? BEHIND : 1;
     this.#edge = value ? DOT : EDGE;
+    this.#uniforms.faded.value = value ? FADED : 0;
   }
 
-  set flash(colour) {
-    this.#uniforms.flash.value = raw(colour);
+  /** Look so when new, and fade into this paper. */
+  wear(flash, paper) {
+    this.#uniforms.flash.value = raw(flash);
+    this.#uniforms.paper.value = raw(paper);
   }
 
-  /** Make ready to be drawn along these axes, with so many drawn pixels in a metre; gives the size of each [px]. */
-  aim({ right, up, toward, scale, now = 0, plain = false }) {
+  /** Make ready to be drawn along these axes, with so many drawn pixels in a metre; gives the size of each [px].
+   *  Plain, they are squares; of a share of them each is larger. */
+  aim({ right, up, toward, scale, now = 0, plain = false, share = 1 }) {
     const uniforms = this.#uniforms;
     const span = (axis) => Math.abs(axis.x) + Math.abs(axis.y) + Math.abs(axis.z);
-    const extent = this.#edge * (plain ? 1.25 : Math.max(span(right), span(up)));
+    const extent = this.#edge * (plain ? 1.25 / Math.cbrt(share) : Math.max(span(right), span(up)));
     this.material = plain ? this.plain : this.fine;
-    uniforms.right.value.copy(right);
-    uniforms.toward.value.copy(toward);
+    const most = this.#most || 1; // m
+    for (const [plane, axis, unit] of [[uniforms.sideways, right, 1], [uniforms.onward, toward, most]]) {
+      plane.value.set(...axis.clone().multiplyScalar(CELL / unit), -axis.dot(this.middle) / unit);
+    }
+    this.geometry.setDrawRange(0, Math.ceil(share * this.size));
     uniforms.now.value = now;
     uniforms.size.value = Math.max(1, extent * scale);
     for (const k of ["x", "y", "z"]) {
@@ -189,6 +209,16 @@ export class Voxels extends Points {
       uniforms.light.value[k] = plain ? 0.88 : lit(k, toward, right, up);
     }
     return uniforms.size.value;
+  }
+
+  /** Called by the renderer. */
+  onBeforeRender(_renderer, _scene, camera) {
+    this.#uniforms.seen.value.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse).scale(CELLS);
+  }
+
+  /** Called by the renderer. */
+  onAfterRender(renderer) {
+    if (this.renderOrder === BEHIND) renderer.clearDepth();
   }
 
   dispose() {
@@ -206,7 +236,13 @@ export class Voxels extends Points {
     if (known !== undefined) return known;
     const slot = this.#slots.size;
     this.#slots.set(key, slot);
-    this.#cells.set([x, y, z, -1], 4 * slot);
+    const place = 4 * slot;
+    this.#cells[place] = x;
+    this.#cells[place + 1] = y;
+    this.#cells[place + 2] = z;
+    this.#cells[place + 3] = -1;
+    const { x: a, y: b, z: c } = this.middle;
+    this.#most = Math.max(this.#most, Math.hypot(CELL * x - a, CELL * y - b, CELL * z - c));
     return slot;
   }
 
@@ -230,7 +266,6 @@ export class Voxels extends Points {
     }
     range();
     for (const attribute of attributes) attribute.needsUpdate = true;
-    this.geometry.setDrawRange(0, this.size);
   }
 
   #grow(room) {
@@ -246,7 +281,6 @@ export class Voxels extends Points {
     this.geometry = new BufferGeometry();
     this.geometry.setAttribute("position", new BufferAttribute(this.#cells, 4).setUsage(DynamicDrawUsage));
     this.geometry.setAttribute("born", new BufferAttribute(this.#born, 1).setUsage(DynamicDrawUsage));
-    this.geometry.setDrawRange(0, this.size);
   }
 }
 
