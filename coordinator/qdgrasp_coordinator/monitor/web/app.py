@@ -162,8 +162,9 @@ def _listener(host: str, port: int) -> socket.socket:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family, backlog=128)
     except OSError as error:
+        reason = (error.strerror or str(error)).partition(" (while")[0]
         raise EndpointError(
-            f"The page cannot be served at {host}:{port}: {error.strerror}; name another place with --web."
+            f"The page cannot be served at {host}:{port}: {reason}; name another place with --web."
         ) from None
 
 

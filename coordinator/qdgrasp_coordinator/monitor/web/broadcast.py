@@ -66,8 +66,10 @@ class Broadcast:
         """Frames from now on, until the broadcast is over; always the newest."""
         self.watchers += 1
         try:
-            last = self._frame.number if self._frame else 0
-            self._maker = self._maker or asyncio.create_task(self._make(last))
+            last = 0
+            if not self._maker:  # what there is was made for those who have left
+                last = self._frame.number if self._frame else 0
+                self._maker = asyncio.create_task(self._make(last))
             while not self._is_over:
                 if self._frame and self._frame.number > last:
                     last = self._frame.number

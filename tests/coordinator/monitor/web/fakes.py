@@ -2,19 +2,26 @@
 
 import threading
 import time
+from base64 import b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
+import msgspec
+import numpy as np
 from msgspec.structs import replace
 from tests.coordinator.monitor import shown
 
 from qdgrasp_coordinator.counts.events import Event
-from qdgrasp_coordinator.counts.figures import to_json
+from qdgrasp_coordinator.counts.figures import Figures, to_json
+from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.monitor.jobs import Jobs, JobView
+from qdgrasp_coordinator.monitor.web.geometry import Kind, Link, Stage, Triangles
+from qdgrasp_coordinator.monitor.web.voxels import HEADER, MARK
+from qdgrasp_protocol.errors import NoReply, UnknownName
 from qdgrasp_protocol.keys import Keys
 
-BUDGET = 20_000
+BUDGET = 90_000
 STEP = 60
 
 
@@ -106,7 +113,7 @@ def _values(job: str, runs: list[str], steps: int, gone: set[int], at: float) ->
     return {key: to_json(value) for key, value in values.items()}
 
 
-def _run(name: str, told: int, steps: int, number: int):  # type: ignore[no-untyped-def]
+def _run(name: str, told: int, steps: int, number: int) -> Figures:
     share = 0.28 + 0.04 * number
     held, shaken, dropped = int(told * share * 0.4), int(told * share * 0.15), int(told * share * 0.45)
     rest = told - held - shaken - dropped
@@ -140,7 +147,7 @@ def _run(name: str, told: int, steps: int, number: int):  # type: ignore[no-unty
     )
 
 
-def _worker(number: int, is_gone: bool, told: int):  # type: ignore[no-untyped-def]
+def _worker(number: int, is_gone: bool, told: int) -> WorkerFigures:
     return shown.worker(
         number,
         host=f"node{number // 2 + 1}",
@@ -152,3 +159,39 @@ def _worker(number: int, is_gone: bool, told: int):  # type: ignore[no-untyped-d
         seen=3.0 if is_gone else 0.2 * number,
         memory=(180 + 7 * number) << 20,
     )
+
+
+class FakeLibrary:
+    """A library of runs in which nothing was found; nobody lists those of the job `hands`."""
+
+    def runs(self, job: str) -> bytes:
+        if job == "hands":
+            raise NoReply("nobody answers")
+        return b'{"runs":[],"next":0,"uncounted":0}'
+
+    def scene(self, job: str, run: str) -> bytes:
+        if run != "mug" and not run.startswith("panda"):
+            raise UnknownName("run", run, ["mug"])
+        return msgspec.json.encode(STAGE)
+
+    def cells(self, job: str, run: str, since: int) -> bytes:
+        return HEADER.pack(MARK, 0, since, since, 0, 7)
+
+    def grasp(self, job: str, run: str, number: int) -> bytes:
+        return b'{"number":%d}' % number
+
+
+CORNERS = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], "<f4")
+SIDES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u4")
+MESH = Triangles(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes()).decode())
+STAGE = Stage(
+    gripper="panda",
+    object="mug",
+    cell=0.01,
+    low=(0, 0, 0),
+    high=(0.05, 0.05, 0.05),
+    reach=0.2,
+    kinds=[Kind(5, "no shake survived", "#bdb7ad"), Kind(6, "one", "#f2a431"), Kind(7, "both", "#2a73b9")],
+    mesh=MESH,
+    links=[Link("palm", False, MESH)],
+)

@@ -1,0 +1,285 @@
+"""The page in a browser: what a person sees of jobs made by hand."""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.coordinator.monitor.web.conftest import free_port, serving
+from tests.coordinator.monitor.web.fakes import FakeFeed
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright, which drives the browser")
+CHROMIUM = next(filter(Path.exists, map(Path, ("/usr/bin/chromium", "/usr/bin/chromium-browser"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium in /usr/bin, as Debian installs it")
+expect = sync_api.expect
+
+DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+PATIENCE = 20_000  # ms that a loaded machine may take for what takes a moment
+KNOWN = ("net::ERR_CONNECTION", "status of 401", "GPU stall")
+"""What a browser complains of where a server is away, a token is asked for, or no graphics card is there."""
+Page = Any
+Look = Callable[..., Page]
+
+CONTRAST = """() => {
+  const channel = (value) => ((value /= 255) <= 0.03928 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);
+  const brightness = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+  const parts = (colour) => colour.match(/[\\d.]+/g).map(Number);
+  const behind = (node) => {
+    for (; node; node = node.parentElement) {
+      const [r, g, b, alpha = 1] = parts(getComputedStyle(node).backgroundColor);
+      if (alpha > 0.5) return [r, g, b];
+    }
+    return [255, 255, 255];
+  };
+  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const found = [];
+  while (texts.nextNode()) {
+    const node = texts.currentNode.parentElement, words = texts.currentNode.textContent.trim();
+    if (!words || !node.checkVisibility() || node.closest(".unseen, script")) continue;
+    const [one, other] = [parts(getComputedStyle(node).color), behind(node)].map(brightness);
+    found.push([words, (Math.max(one, other) + 0.05) / (Math.min(one, other) + 0.05)]);
+  }
+  return found;
+}"""
+NAMELESS = """() => [...document.querySelectorAll("button, a, input, progress, [role=img], [tabindex]")]
+  .filter((node) => node.checkVisibility() && !node.closest("[aria-hidden=true]"))
+  .filter((node) => !(node.ariaLabel || node.textContent.trim() || node.getAttribute("aria-labelledby")))
+  .map((node) => node.outerHTML)"""
+
+
+FOCUSED = """() => {
+  const node = document.activeElement;
+  return [node.id || node.closest("[id]")?.id, getComputedStyle(node).outlineStyle];
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def look(browser: Any) -> Iterator[Look]:
+    """Opens a page; whatever it complains of fails the test, but what is said of a lost connection."""
+    complaints: list[str] = []
+    contexts = []
+
+    def opened(address: str, **looks: Any) -> Page:
+        context = browser.new_context(viewport=PHONE if looks.pop("phone", False) else DESKTOP, **looks)
+        context.set_default_timeout(PATIENCE)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("console", lambda said: said.type in ("error", "warning") and complaints.append(said.text))
+        page.goto(address)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert [words for words in complaints if not any(known in words for known in KNOWN)] == []
+
+
+@pytest.fixture(scope="module")
+def place() -> Iterator[str]:
+    """A page of jobs that go on."""
+    feed = FakeFeed()
+    with feed.going_on(), serving(feed, free_port()) as address:
+        feed.happen("Worker 7 joined from node1.")
+        yield address
+
+
+def number(words: str) -> int:
+    return int(re.sub(r"\D", "", words))
+
+
+def figure(page: Page, name: str) -> Any:
+    return page.locator("#figures > div", has=page.get_by_text(name, exact=True)).locator("dd").first
+
+
+def test_the_page_shows_numbers_that_grow(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=mug")
+    expect(page).to_have_title(re.compile("^mug, running . qdgrasp$"), timeout=PATIENCE)
+    found = figure(page, "Successes")
+    before = number(found.inner_text())
+    page.wait_for_function(
+        "([node, before]) => Number(node.textContent.replace(/\\D/g, '')) > before",
+        arg=[found.element_handle(), before],
+    )
+    assert number(page.locator("#done").inner_text().partition(" of ")[0]) > 0
+    assert float(page.locator("#progress").get_attribute("value") or 0) > 0
+
+
+def test_where_evaluations_end_adds_up(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=mug")
+    entries = page.locator("#outcomes li")
+    expect(entries).to_have_count(8, timeout=PATIENCE)
+    counts, whole = page.evaluate(
+        "() => [[...document.querySelectorAll('#outcomes .number')].map((node) => node.textContent), "
+        "document.querySelector('#outcomes-words').textContent]"
+    )
+    assert sum(map(number, counts)) == number(whole)
+
+
+def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=mug")
+    for plot, names in {
+        "cells": ["Cells"],
+        "successes": ["Successes", "Robust"],
+        "speed": ["Evaluations/s"],
+    }.items():
+        expect(page.locator(f"#{plot} canvas")).to_be_visible(timeout=PATIENCE)
+        assert page.locator(f"#{plot}-legend dt").all_inner_texts() == names
+        assert all(number(words) > 0 for words in page.locator(f"#{plot}-legend dd").all_inner_texts())
+
+
+def test_the_view_in_3d_stands_there(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=mug")
+    expect(page.locator("#scene-words")).to_have_text("Nothing found yet.", timeout=PATIENCE)
+    expect(page.locator("#scene-empty")).to_be_hidden()
+
+
+def test_a_worker_that_was_killed_is_shown_as_gone(look: Look) -> None:
+    feed = FakeFeed()
+    feed.step()
+    with serving(feed, free_port()) as place:
+        page = look(f"{place}/#job=mug")
+        expect(page.locator("#workers-words")).to_have_text("4 working", timeout=PATIENCE)
+        feed.gone = {2}
+        feed.step()
+        expect(page.locator("#workers tr[data-state=gone] th")).to_have_text("node2 4102", timeout=2000)
+        expect(page.locator("#workers-words")).to_have_text("3 working, 1 gone")
+
+
+def test_the_page_goes_on_by_itself_when_the_monitor_is_back(look: Look) -> None:
+    feed, port = FakeFeed(), free_port()
+    feed.step()
+    with serving(feed, port) as place:
+        page = look(f"{place}/#job=mug")
+        expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
+        page.evaluate("() => (window.kept = true)")
+    expect(page.locator("#link")).to_have_text(
+        re.compile(r"^not connected since \d\d:\d\d:\d\d$"), timeout=PATIENCE
+    )
+    before = number(figure(page, "Successes").inner_text())
+    feed.step()
+    with serving(feed, port):
+        expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
+        assert number(figure(page, "Successes").inner_text()) > before
+        assert page.evaluate("() => window.kept"), "the page was loaded again"
+        page.context.close()
+
+
+def test_the_address_keeps_what_was_chosen(look: Look, place: str) -> None:
+    page = look(f"{place}/")
+    page.get_by_role("link", name=re.compile("^hands")).click()
+    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+    page.get_by_role("link", name="panda-drill-aimed-s1").click()
+    expect(page.locator("#name")).to_have_text("panda-drill-aimed-s1", timeout=PATIENCE)
+    assert page.url.endswith("#job=hands&run=panda-drill-aimed-s1")
+    page.reload()
+    expect(page.locator("#name")).to_have_text("panda-drill-aimed-s1", timeout=PATIENCE)
+    page.go_back()
+    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+
+
+def test_a_job_that_is_not_heard_of_is_waited_for(look: Look) -> None:
+    feed = FakeFeed()
+    with serving(feed, free_port()) as place:
+        page = look(f"{place}/#job=mug")
+        expect(page.get_by_role("heading", name="Nothing is heard of the job mug")).to_be_visible(
+            timeout=PATIENCE
+        )
+        feed.step()
+        expect(page.locator("#name")).to_have_text("mug", timeout=PATIENCE)
+
+
+def test_workers_are_sorted_by_the_column_that_was_chosen(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=mug")
+    page.get_by_role("button", name="Memory").click()
+    memory = page.locator("#workers td[data-name=memory]").all_inner_texts()
+    assert [number(words) for words in memory] == [201, 194, 187, 180]
+    expect(page.locator("#workers th[aria-sort]")).to_have_text("Memory")
+    page.get_by_role("button", name="Memory").press("Enter")
+    assert page.locator("#workers td[data-name=memory]").all_inner_texts() == memory[::-1]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("phone", [False, True], ids=["desktop", "phone"])
+def test_words_stand_out_from_what_is_behind_them(look: Look, place: str, theme: str, phone: bool) -> None:
+    page = look(f"{place}/#job=hands", color_scheme=theme, phone=phone)
+    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+    contrasts = page.evaluate(CONTRAST)
+    assert len(contrasts) > 60
+    assert [(words, round(ratio, 2)) for words, ratio in contrasts if ratio < 4.5] == []
+
+
+def test_the_switch_wins_over_the_system_and_is_remembered(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=mug", color_scheme="dark")
+    dark = page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+    switch = page.get_by_role("button", name=re.compile("^Colours"))
+    switch.click()
+    assert switch.inner_text() == "Light"
+    light = page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+    assert light != dark
+    page.reload()
+    assert page.evaluate("() => getComputedStyle(document.body).backgroundColor") == light
+
+
+@pytest.mark.parametrize("job", ["mug", "hands"])
+def test_a_phone_shows_everything_without_scrolling_sideways(look: Look, place: str, job: str) -> None:
+    page = look(f"{place}/#job={job}", phone=True)
+    expect(page.locator("#workers tbody tr").first).to_be_visible(timeout=PATIENCE)
+    assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
+    panels = (
+        "() => [...document.querySelectorAll('.panel')].map((node) => node.getBoundingClientRect().right)"
+    )
+    assert max(page.evaluate(panels)) <= PHONE["width"]
+
+
+def test_whatever_can_be_used_has_a_name(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=hands")
+    expect(page.locator("#workers tbody tr").first).to_be_visible(timeout=PATIENCE)
+    assert page.evaluate(NAMELESS) == []
+    assert page.evaluate("() => document.documentElement.lang") == "en"
+    assert page.locator("h1").count() == page.locator("main").count() == page.locator("nav").count() == 1
+
+
+def test_the_keyboard_reaches_everything_and_shows_where_it_is(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=hands")
+    expect(page.locator("#workers tbody tr").first).to_be_visible(timeout=PATIENCE)
+    page.keyboard.press("Tab")
+    assert page.evaluate("() => document.activeElement.id") == "skip"
+    reached = set()
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        seen, outline = page.evaluate(FOCUSED)
+        reached.add(seen)
+        assert seen in (None, "body") or outline != "none", f"where the focus is cannot be seen: {seen}"
+    assert {"theme", "jobs", "runs", "scene", "workers", "events"} <= reached
+
+
+def test_the_skip_link_leads_to_the_job_and_keeps_the_choice(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=hands")
+    expect(page.locator("#name")).to_have_text("hands", timeout=PATIENCE)
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    assert page.evaluate("() => document.activeElement.id") == "main"
+    assert page.url.endswith("#job=hands")
+
+
+def test_the_token_opens_the_page_and_leaves_the_address(look: Look) -> None:
+    feed = FakeFeed()
+    feed.step()
+    with serving(feed, free_port(), "a-token-of-some-length") as place:
+        page = look(place)
+        page.get_by_label("Token").fill("a-token-of-some-length")
+        page.keyboard.press("Enter")
+        expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
+        assert page.url == f"{place}/"
+        page.context.close()
