@@ -233,11 +233,21 @@ class Tally:
 
 def tally(spec: RunSpec, blocks: Iterable[Rows]) -> Tally:
     """The tally of a journal, in its order, in blocks of any length."""
-    total = Tally(spec.evaluations, spec.overlaps, trials(spec.protocol), Goals.of(spec))
+    total = begun(spec)
     for block in blocks:
-        for number in np.unique(block["generation"]):
-            rows = block[block["generation"] == number]
-            total.count(rows)
-            if ((rows["index"] == spec.population - 1) & (rows["trial"] == 0)).any():
-                total.end_generation()
+        go_on(total, spec, block)
     return total
+
+
+def begun(spec: RunSpec) -> Tally:
+    """The tally of a journal that has no rows yet."""
+    return Tally(spec.evaluations, spec.overlaps, trials(spec.protocol), Goals.of(spec))
+
+
+def go_on(total: Tally, spec: RunSpec, block: Rows) -> None:
+    """Count the next rows of a journal."""
+    for number in np.unique(block["generation"]):
+        rows = block[block["generation"] == number]
+        total.count(rows)
+        if ((rows["index"] == spec.population - 1) & (rows["trial"] == 0)).any():
+            total.end_generation()

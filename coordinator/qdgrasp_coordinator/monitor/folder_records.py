@@ -3,20 +3,14 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.counts.entry import RunEntry
-from qdgrasp_coordinator.counts.finds import Found, found, layout, limit
-from qdgrasp_coordinator.counts.tally import successful, tally
+from qdgrasp_coordinator.counts.tally import tally
+from qdgrasp_coordinator.folders import journal_finds
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.monitor.records import Page
 from qdgrasp_protocol.errors import UnknownName
-from qdgrasp_protocol.rows import Rows
-
-SCANNED = 1 << 16
-"""So many journal rows are read for one page."""
 
 
 class FolderRecords:
@@ -44,12 +38,7 @@ class FolderRecords:
     def page(self, job: str, run: str, first: int) -> Page:
         """From the journal as it is now."""
         with self._folder(job, run).journal() as journal:
-            count, joints = journal.count, journal.shape.joints
-            stop, most = min(count, first + SCANNED), limit(joints)
-            finds = _found(journal.kept(first, stop) if first < stop else (), first, joints)
-        if len(finds) > most:
-            return Page(finds[:most], int(finds["number"][most]), count)
-        return Page(finds, max(first, stop), count)
+            return Page(*journal_finds.page(journal, first), journal.count)
 
     def entries(self, job: str) -> list[RunEntry]:
         """Counted from the journals as they are now."""
@@ -72,13 +61,3 @@ def _entry(folder: RunFolder) -> RunEntry:
     with folder.journal() as journal:
         found = tally(folder.spec, journal.blocks())
     return RunEntry.of(folder.run, folder.spec, folder.bundle().digest, found)
-
-
-def _found(blocks: Iterable[Rows], first: int, joints: int) -> Found:
-    """The successes among consecutive rows, of which the first has the number `first`."""
-    kept = [np.zeros(0, layout(joints))]
-    for rows in blocks:
-        here = np.flatnonzero(successful(rows))
-        kept.append(found(rows[here], first + here, joints))
-        first += len(rows)
-    return np.concatenate(kept)

@@ -17,6 +17,7 @@ import structlog
 
 from qdgrasp_coordinator.recording.books import Books
 from qdgrasp_coordinator.recording.fetcher import Fetched, Fetcher
+from qdgrasp_coordinator.recording.librarian import Librarian
 from qdgrasp_coordinator.recording.scribe import Scribe
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
@@ -88,6 +89,7 @@ class RecorderService:
             stack.enter_context(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
             stack.enter_context(self._bus.answer(self._keys.open, self._ask))
             stack.enter_context(self._bus.answer(self._keys.log, self._ask))
+            stack.enter_context(Librarian(self._bus, self._job, self._path))
             stack.enter_context(self._bus.token(self._keys.recorder_token(secrets.token_hex(8))))
             log.info("recording", job=self._job, folder=str(self._path))
             while not self._stop.is_set:
