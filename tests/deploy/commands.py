@@ -10,6 +10,7 @@ import typer
 
 import qdgrasp_coordinator.cli.coordinator
 import qdgrasp_coordinator.cli.main
+import qdgrasp_coordinator.cli.monitor
 import qdgrasp_coordinator.cli.recorder
 import qdgrasp_coordinator.cli.router
 import qdgrasp_worker.cli
@@ -18,6 +19,7 @@ DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 COMMANDS = {
     "qdgrasp": qdgrasp_coordinator.cli.main.app,
     "qdgrasp-coordinator": qdgrasp_coordinator.cli.coordinator.app,
+    "qdgrasp-monitor": qdgrasp_coordinator.cli.monitor.app,
     "qdgrasp-recorder": qdgrasp_coordinator.cli.recorder.app,
     "qdgrasp-router": qdgrasp_coordinator.cli.router.app,
     "qdgrasp-worker": qdgrasp_worker.cli.app,

@@ -93,6 +93,7 @@ def _is_loaded(pid: int) -> bool:
 
 
 RECORDER, ROUTER = "qdgrasp_coordinator.cli.recorder", "qdgrasp_coordinator.cli.router"
+MONITOR = "qdgrasp_coordinator.cli.monitor"
 BEGINNINGS: dict[str, Beginning] = {
     "a run": working,
     "a run whose router is away": frozen("coordinator"),
@@ -101,6 +102,8 @@ BEGINNINGS: dict[str, Beginning] = {
     "a scene that is built": building,
     "a campaign's scene that is built": campaigning,
     "jobs without a router": seeking("jobs"),
+    "a monitor without a router": seeking("--wait", "60", module=MONITOR),
+    "one look without a router": seeking("--once", "--wait", "60", module=MONITOR),
     "an order without a router": seeking("pause", "mugs"),
     "a check without a router": checking,
     "a router without the other one": seeking("--listen", own_endpoint(), module=ROUTER),

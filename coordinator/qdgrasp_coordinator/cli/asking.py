@@ -13,8 +13,15 @@ PATIENCE = 3.0  # seconds that a router may take to answer
 
 
 @contextmanager
-def session(connect: str, security: Path | None, role: Role = Role.ADMIN) -> Iterator[Bus]:
+def session(
+    connect: str, security: Path | None, role: Role = Role.ADMIN, wait: float = PATIENCE
+) -> Iterator[Bus]:
     """A session at a router, for a question or two; a signal ends it, also while nobody answers.
+
+    Parameters
+    ----------
+    wait
+        Seconds that the router may take to answer.
 
     Raises
     ------
@@ -24,7 +31,7 @@ def session(connect: str, security: Path | None, role: Role = Role.ADMIN) -> Ite
         The folder of certificates lacks those of the role.
     """
     credentials = Credentials.find(security, role)
-    with ZenohBus.connect(connect, PATIENCE, credentials=credentials) as bus:
+    with ZenohBus.connect(connect, wait, credentials=credentials) as bus:
         yield bus
 
 

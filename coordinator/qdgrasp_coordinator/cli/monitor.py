@@ -2,6 +2,7 @@
 
 import json
 import logging
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Annotated
@@ -10,10 +11,10 @@ import msgspec
 import typer
 from rich.console import Console
 
-from qdgrasp_coordinator.cli.asking import PATIENCE, place
+from qdgrasp_coordinator.cli.asking import PATIENCE, place, session
 from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.monitor.jobs import JobView
-from qdgrasp_coordinator.monitor.overview import overview
+from qdgrasp_coordinator.monitor.overview import look
 from qdgrasp_coordinator.monitor.terminal.frame import Shown, sheet
 from qdgrasp_coordinator.monitor.terminal.glyphs import glyphs_of
 from qdgrasp_coordinator.monitor.terminal.keyboard import keyboard
@@ -63,14 +64,18 @@ def monitor(
     Example: qdgrasp-monitor --connect tcp/head:7447
     """
     endpoint = place(connect, security)
+    if once:
+        with session(endpoint, security, Role.MONITOR, wait) as bus:
+            there = look(bus)
+        views = chosen(there.views(time.time()), job)
+        typer.echo(to_json(views, endpoint)) if as_json else show(
+            views, endpoint, there.strangers, ascii_only=ascii_only
+        )
+        return
     with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
         speak("monitor", level=logging.INFO if web else logging.ERROR)
         credentials = Credentials.find(security, Role.MONITOR)
         bus = stack.enter_context(ZenohBus.connect(endpoint, wait, stop, credentials))
-        if once:
-            views = chosen(overview(bus), job)
-            typer.echo(to_json(views, endpoint)) if as_json else show(views, endpoint, ascii_only=ascii_only)
-            return
         feed = stack.enter_context(Feed(bus, job))
         if web is not None:
             serve(bus, feed, web, token or "", stop)
@@ -95,11 +100,11 @@ def chosen(views: Sequence[JobView], job: str | None) -> Sequence[JobView]:
     return [view for view in views if job in (None, view.job)]
 
 
-def show(views: Sequence[JobView], endpoint: str, *, ascii_only: bool) -> None:
+def show(views: Sequence[JobView], endpoint: str, strangers: Sequence[str], *, ascii_only: bool) -> None:
     """Print one look at jobs."""
     console = Console(highlight=False)
-    shown, glyphs = Shown(views, endpoint, local_time()), glyphs_of(console, ascii_only=ascii_only)
-    for line in sheet(shown, console.width, glyphs):
+    shown = Shown(views, endpoint, local_time(), strangers=strangers)
+    for line in sheet(shown, console.width, glyphs_of(console, ascii_only=ascii_only)):
         console.print(line, soft_wrap=True)
 
 

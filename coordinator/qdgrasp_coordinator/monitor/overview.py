@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 
 from qdgrasp_coordinator.monitor.jobs import Jobs, JobView
@@ -15,11 +16,11 @@ ANSWER = 2.0  # seconds that coordinators may take to answer
 
 def look(bus: Bus) -> Jobs:
     """The jobs whose coordinators answer now."""
-    jobs, now = Jobs(), time.time()
-    values: dict[str, bytes] = {}
-    for question in jobs.questions(now):
-        values |= bus.ask_all(question, timeout=ANSWER)
-    jobs.answered(values, now)
+    jobs = Jobs()
+    questions = jobs.questions(time.time())
+    with ThreadPoolExecutor(len(questions)) as pool:  # one that stands still is waited for once
+        answers = list(pool.map(lambda question: bus.ask_all(question, timeout=ANSWER), questions))
+    jobs.answered({key: value for values in answers for key, value in values.items()}, time.time())
     return jobs
 
 
