@@ -1,0 +1,122 @@
+import json
+
+import pytest
+from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
+from tests.coordinator.monitor.web.test_voxels import read
+
+from qdgrasp_coordinator.monitor.web import exhibits
+from qdgrasp_coordinator.monitor.web.exhibits import FRESH, Exhibits
+from qdgrasp_coordinator.monitor.web.voxels import HEADER
+from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.outcome import Outcome
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def records(make_scene) -> HandMadeRecords:
+    return HandMadeRecords(make_scene())
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def library(records: HandMadeRecords, clock: Clock) -> Exhibits:
+    return Exhibits(records, clock)
+
+
+def origin(page: bytes) -> int:
+    number: int = HEADER.unpack_from(page)[5]
+    return number
+
+
+def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, library: Exhibits) -> None:
+    records.record(random_finds(50))
+    upto, rows, shown = read(library.cells("job", "run", 0))
+    assert upto == rows == records.rows
+    assert len(shown) == len({tuple(place) for place in records.found["descriptor"].tolist()})
+
+
+def test_what_is_found_later_is_added(records: HandMadeRecords, library: Exhibits, clock: Clock) -> None:
+    records.record(finds([0], [(1, 0, 0)], [Outcome.HELD]))
+    upto, _, _ = read(library.cells("job", "run", 0))
+    records.record(finds([1], [(2, 0, 0)], [Outcome.HELD]))
+    clock.now += FRESH
+    assert read(library.cells("job", "run", upto))[2] == {(2, 0, 0): [1, Outcome.HELD]}
+
+
+def test_many_browsers_cost_the_recorder_no_more_than_one(
+    records: HandMadeRecords, library: Exhibits, clock: Clock
+) -> None:
+    records.record(random_finds(4))
+    pages = {library.cells("job", "run", 0) for _ in range(20)}
+    assert len(pages) == records.asked == 1
+    clock.now += FRESH
+    library.cells("job", "run", 0)
+    assert records.asked == 2
+
+
+def test_a_long_journal_is_read_over_several_answers(
+    records: HandMadeRecords, library: Exhibits, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exhibits, "PATIENCE", -1.0)  # out of patience after each page
+    records.record(random_finds(10))
+    first, answers = 0, 0
+    while first < records.rows:
+        first, _, _ = read(library.cells("job", "run", first))
+        answers += 1
+    assert answers == 3  # four on a page
+
+
+def test_a_journal_that_fell_back_is_read_anew(
+    records: HandMadeRecords, library: Exhibits, clock: Clock
+) -> None:
+    records.record(random_finds(50))
+    before = library.cells("job", "run", 0)
+    records.found, records.rows = records.found[:0], 0
+    records.record(finds([3], [(9, 9, 9)], [Outcome.DROPPED]))
+    clock.now += FRESH
+    after = library.cells("job", "run", 0)
+    assert origin(after) != origin(before)
+    assert read(after)[2] == {(9, 9, 9): [3, Outcome.DROPPED]}
+
+
+def test_a_grasp_is_told_with_what_replays_it(records: HandMadeRecords, library: Exhibits) -> None:
+    records.record(random_finds(9))
+    told = json.loads(library.grasp("job", "run", 10))
+    assert told["number"] == 10
+    assert told["command"] == "qdgrasp show runs/mug --grasp 10"
+    assert set(told["links"]) == {link["name"] for link in json.loads(library.scene("job", "run"))["links"]}
+
+
+def test_a_row_that_is_no_success_is_no_grasp(records: HandMadeRecords, library: Exhibits) -> None:
+    records.record(random_finds(9))
+    with pytest.raises(InputError, match="Row 11 of the journal of 'run' is no success"):
+        library.grasp("job", "run", 11)
+    with pytest.raises(InputError, match="Row 99"):
+        library.grasp("job", "run", 99)
+
+
+def test_a_run_that_is_not_there_is_named(library: Exhibits) -> None:
+    for ask in (library.scene, lambda job, run: library.cells(job, run, 0)):
+        with pytest.raises(UnknownName, match="Unknown run 'rum'"):
+            ask("job", "rum")
+
+
+def test_only_so_many_runs_are_kept_ready(
+    records: HandMadeRecords, library: Exhibits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exhibits, "RUNS", 2)
+    for job in ("a", "b", "c", "c", "b"):
+        library.cells(job, "run", 0)
+    assert records.asked == 3
+    library.cells("a", "run", 0)
+    assert records.asked == 4
