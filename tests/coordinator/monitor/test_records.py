@@ -1,0 +1,87 @@
+"""Records: the same answers from a folder and over the bus."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+
+from qdgrasp_coordinator.counts.tally import successes
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.monitor.bus_records import BusRecords
+from qdgrasp_coordinator.monitor.folder_records import FolderRecords
+from qdgrasp_coordinator.monitor.records import Records
+from qdgrasp_coordinator.recording.librarian import Librarian
+from qdgrasp_protocol.errors import FolderError, QdgraspError
+from qdgrasp_protocol.local_bus import LocalNetwork
+
+ROWS = random_rows(300)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, make_scene) -> RunFolder:
+    return record(tmp_path / "mug", make_scene(), ROWS)
+
+
+@pytest.fixture(params=["folder", "bus"])
+def records(request: pytest.FixtureRequest, folder: RunFolder, network: LocalNetwork) -> Iterator[Records]:
+    if request.param == "folder":
+        yield FolderRecords([folder.path])
+        return
+    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
+        yield BusRecords(ours)
+
+
+def test_the_scene_is_the_run_s(records: Records, folder: RunFolder) -> None:
+    assert records.scene("mug", "run") == folder.scene()
+
+
+def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> None:
+    page = records.page("mug", "run", 0)
+    expected = successes(ROWS)
+    assert (page.next, page.rows) == (300, 300)
+    assert np.array_equal(page.found["outcome"], expected["outcome"])
+    assert np.array_equal(page.found["base_to_object"], expected["base_to_object"])
+    assert np.array_equal(ROWS[page.found["number"]]["joints"], page.found["joints"])
+
+
+@pytest.mark.parametrize("first", [1, 150, 299])
+def test_one_may_begin_anywhere(records: Records, first: int) -> None:
+    whole, part = records.page("mug", "run", 0).found, records.page("mug", "run", first).found
+    assert np.array_equal(part, whole[whole["number"] >= first])
+
+
+@pytest.mark.parametrize("first", [300, 5000])
+def test_behind_the_last_row_there_is_nothing_yet(records: Records, first: int) -> None:
+    page = records.page("mug", "run", first)
+    assert (len(page.found), page.rows) == (0, 300)
+    assert page.next >= first
+
+
+def test_pages_that_are_short_add_up(records: Records, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = records.page("mug", "run", 0).found
+    monkeypatch.setattr("qdgrasp_coordinator.folders.journal_finds.limit", lambda joints: 7)
+    first, parts = 0, []
+    while first < 300:
+        page = records.page("mug", "run", first)
+        assert len(page.found) <= 7
+        parts.append(page.found)
+        first = page.next
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_a_run_is_counted_as_its_journal_is(records: Records) -> None:
+    (entry,) = records.entries("mug")
+    assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(successes(ROWS)))
+
+
+def test_what_is_not_there_is_refused(records: Records) -> None:
+    for ask in (records.scene, lambda job, run: records.page(job, run, 0)):
+        with pytest.raises(QdgraspError, match="rum"):
+            ask("mug", "rum")
+
+
+def test_a_folder_without_a_job_has_no_records(tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match="no run and no campaign"):
+        FolderRecords([tmp_path])
