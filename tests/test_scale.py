@@ -8,7 +8,10 @@ from tests.benchmarks.scale.prepared import SHAPE, VARIETY, Answers, rows
 from tests.benchmarks.scale.rig import JOB, Watch, assignment, coordinate, resident, router
 from tests.benchmarks.scale.searching import Watched
 from tests.benchmarks.scale.stand_ins import Crowd, crowds
+from tests.benchmarks.scale.turns import Timed, compared, take_turns
+from tests.benchmarks.scale.watched import monitors
 from tests.coordinator.searches.spaces import plain
+from tests.endpoints import own_endpoint
 
 from qdgrasp_coordinator.bench.course import Unkept
 from qdgrasp_coordinator.dispatching.batch import readable
@@ -53,6 +56,16 @@ def test_a_coordinator_is_watched_while_stand_ins_answer(seconds: float) -> None
     assert found.rows <= runs[0].pipeline.tally.rows
     assert found.cpu_seconds > 0
     assert memory[0] > 0
+
+
+def test_a_coordinator_is_compared_with_itself_beside_monitors() -> None:
+    endpoint = own_endpoint()
+    with monitors(endpoint, 2, stopped=1) as company:
+        (pair,) = take_turns(lambda: Timed.router(endpoint), endpoint, company, 1, 0.5)
+    assert pair.alone.per_batch > 0
+    assert pair.beside.shown > 0
+    figures = list(compared([pair], "them"))
+    assert figures[0].value == pair.beside.per_batch / pair.alone.per_batch
 
 
 def test_pyribs_share_of_a_search_is_a_part_of_it() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rich.console import Console
 from tests.benchmarks.measure import machine
-from tests.benchmarks.scale import dispatching, pairs, recorded, searching, sessions, stuck
+from tests.benchmarks.scale import dispatching, pairs, recorded, searching, sessions, stuck, watched
 from tests.benchmarks.scale.figures import Figure, table
 
 from qdgrasp_protocol.logs import speak
@@ -25,6 +25,7 @@ PARTS: dict[str, Callable[[float], Iterator[Figure]]] = {
     "searches": searching.measure,
     "sessions": sessions.measure,
     "stuck": stuck.measure,
+    "watched": watched.measure,
     "pairs": pairs.measure,
 }
 
