@@ -176,7 +176,7 @@ class Overview(Collector):
         words = "Whether something keeps the job from going on."
         yield self._gauge("job_trouble", words, lambda view: bool(view.figures.obstacle))
         states = [((view.job, state), float(view.state == state)) for view in self._views for state in STATES]
-        yield metric(GaugeMetricFamily, "job_state", "1 in the state that holds.", ("job", "state"), states)
+        yield metric(GaugeMetricFamily, "job_state", "How the job is: 1 for the state that holds.", ("job", "state"), states)
         runs = [((view.job, how), float(n)) for view in self._views for how, n in _runs(view.figures)]
         yield metric(GaugeMetricFamily, "job_runs", "The job's runs by state.", ("job", "state"), runs)
         events = [((view.job,), float(view.events[-1].number if view.events else 0)) for view in self._views]
