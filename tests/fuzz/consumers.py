@@ -19,6 +19,7 @@ from qdgrasp_coordinator.recording.subject import Subject
 from qdgrasp_protocol import codec, messages
 from qdgrasp_protocol.messages import Message
 from qdgrasp_protocol.rows import COLUMNS, GENOME, KEY, RESULT, Shape, pack, unpack
+from qdgrasp_protocol.sign import Sign
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 SHAPE = Shape(genes=7, joints=2)
@@ -81,7 +82,7 @@ KINDS = [
     if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
 ]
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
-SHOWN = (Figures, JobFigures, TeamFigures, JobMeta, Event, Events, Curve, RunEntries)
+SHOWN = (Figures, JobFigures, TeamFigures, JobMeta, Event, Events, Curve, RunEntries, Sign)
 CONSUMERS: dict[str, Consumer] = {
     **{kind.__name__.lower(): OWN.get(kind, plain(kind)) for kind in KINDS},
     **{kind.__name__.lower(): shown(kind) for kind in SHOWN},
@@ -127,9 +128,15 @@ def _value(kind: Any) -> Any:
             return [_value(item)]
         case msgspec.inspect.DictType(value_type=value):
             return {"x": _value(value)}
+        case msgspec.inspect.StrType(pattern=pattern):
+            return WID if pattern else "x"
         case msgspec.inspect.LiteralType(values=values):
             return values[0]
-    return {msgspec.inspect.StrType: "x", msgspec.inspect.DateTimeType: NOON}.get(type(kind), 1)
+        case msgspec.inspect.DateTimeType():
+            return NOON
+        case msgspec.inspect.BoolType():
+            return True
+    return 1
 
 
 def _made(kind: type[Message], given: dict[str, Any]) -> Message:

@@ -56,7 +56,7 @@ class Stranger:
             "recordable": KEYS.outcome(1),
             "platform": KEYS.outcome(1),
             "jobfigures": KEYS.stat("job"),
-            "workerfigures": KEYS.stat(f"worker/{wid}"),
+            "sign": KEYS.stat(f"worker/{wid}"),
         }
         self._ask_on = {"join": KEYS.join, "order": KEYS.control, "open": KEYS.open, "log": KEYS.log}
 
@@ -76,6 +76,18 @@ class Stranger:
         for parameters in ("", "i=", "i=-1", "i=²", "i=" + "9" * 5000, "i=1;i=2", "j=0"):
             with suppress(Refused, NoReply):
                 self._bus.ask(KEYS.asset("ab" * 32), parameters=parameters, timeout=1.0)
+            with suppress(Refused, NoReply):
+                self._bus.ask(KEYS.recorded_asset("ab" * 32), parameters=parameters, timeout=1.0)
+        for parameters in (
+            "run=..",
+            "run=run&from=²",
+            "run=run&from=" + "9" * 5000,
+            "&;=;&",
+            "run=run" * 5000,
+        ):
+            for key in (KEYS.finds, KEYS.entries):
+                with suppress(Refused, NoReply):
+                    self._bus.ask(key, parameters=parameters, timeout=1.0)
         for key in (
             KEYS.root + "/live/coord/²",
             KEYS.root + "/live/coord/" + "9" * 5000,

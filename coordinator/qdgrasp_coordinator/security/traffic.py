@@ -79,10 +79,16 @@ TRAFFIC = (
     _put(JOBS.stat("worker/*"), {WORKER}, {COORDINATOR}, 64 * KIB),
     _put(JOBS.stat("job"), {COORDINATOR}, set(), 256 * KIB),
     _put(JOBS.stat("run/*"), {COORDINATOR}, set(), 256 * KIB),
+    _put(JOBS.stat("team/*"), {COORDINATOR}, set(), 256 * KIB),
     _put(JOBS.stat(), set(), WATCHERS, 256 * KIB),
     _put(JOBS.meta, {COORDINATOR}, WATCHERS, 256 * KIB),
+    _put(JOBS.event(), {COORDINATOR}, WATCHERS, 16 * KIB),
     _query(JOBS.stat(), WATCHERS, {COORDINATOR}, 4 * KIB, MIB),
     _query(JOBS.meta, WATCHERS, {COORDINATOR}, 4 * KIB, MIB),
+    _query(JOBS.recent, WATCHERS, {COORDINATOR}, 4 * KIB, MIB),
+    _query(JOBS.entries, WATCHERS, {RECORDER}, 4 * KIB, MIB),
+    _query(JOBS.finds, WATCHERS, {RECORDER}, 4 * KIB, 2 * MIB),
+    _query(JOBS.recorded_asset(), WATCHERS, {RECORDER}, 4 * KIB, MIB),
     _query(JOBS.join, {WORKER}, {COORDINATOR}, 256 * KIB, 256 * KIB),
     _query(JOBS.control, {Role.ADMIN}, {COORDINATOR}, 4 * KIB, 16 * KIB),
     _query(JOBS.asset(), {WORKER, RECORDER}, {COORDINATOR}, 4 * KIB, MIB),
@@ -92,4 +98,4 @@ TRAFFIC = (
     _token(JOBS.worker_token(), WORKER, {COORDINATOR, Role.MONITOR}),
     _token(JOBS.recorder_token(), RECORDER, {COORDINATOR, Role.MONITOR}),
 )
-"""All traffic there is (docs/bus.md, keys). Monitors see who is there; no command of ours asks that yet."""
+"""All traffic there is (docs/bus.md, keys)."""

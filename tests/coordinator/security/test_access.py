@@ -128,9 +128,9 @@ def test_zenoh_reads_the_deployed_configurations_as_they_are_meant(role: Role) -
         assert len(json.loads(config.get_json("low_pass_filter"))) == len(written["low_pass_filter"])
 
 
-def test_who_administers_sees_neither_signs_of_life_nor_records() -> None:
+def test_who_administers_sees_no_signs_of_life_and_neither_opens_runs_nor_reads_logs() -> None:
     """It asks how jobs are and tells them what to do; monitors watch."""
-    denied = ("/live/", "/rec/")
+    denied = ("/live/", "/rec/open", "/rec/log")
     assert not [
         key for rule in rules("admin") for key in rule["key_exprs"] if any(map(key.__contains__, denied))
     ]
