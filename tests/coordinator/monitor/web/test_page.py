@@ -2,23 +2,15 @@
 
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
+from tests import browser
+from tests.browser import PATIENCE, PHONE, figure, number
 from tests.coordinator.monitor.web.conftest import free_port, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright, which drives the browser")
-CHROMIUM = next(filter(Path.exists, map(Path, ("/usr/bin/chromium", "/usr/bin/chromium-browser"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium in /usr/bin, as Debian installs it")
-expect = sync_api.expect
-
-DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
-FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-PATIENCE = 20_000  # ms that a loaded machine may take for what takes a moment
-KNOWN = ("net::ERR_CONNECTION", "status of 401", "GPU stall")
-"""What a browser complains of where a server is away, a token is asked for, or no graphics card is there."""
+pytestmark = browser.needed
 Page = Any
 Look = Callable[..., Page]
 
@@ -56,33 +48,30 @@ FOCUSED = """() => {
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+def chromium() -> Iterator[Any]:
+    with browser.launched() as launched:
         yield launched
-        launched.close()
 
 
 @pytest.fixture
-def look(browser: Any) -> Iterator[Look]:
-    """Opens a page; whatever it complains of fails the test, but what is said of a lost connection."""
-    complaints: list[str] = []
-    contexts = []
+def look(chromium: Any) -> Iterator[Look]:
+    """Opens a page; whatever it complains of fails the test."""
+    visits: list[browser.Visit] = []
 
     def opened(address: str, **looks: Any) -> Page:
-        context = browser.new_context(viewport=PHONE if looks.pop("phone", False) else DESKTOP, **looks)
-        context.set_default_timeout(PATIENCE)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("console", lambda said: said.type in ("error", "warning") and complaints.append(said.text))
-        page.goto(address)
-        return page
+        visits.append(browser.Visit(chromium, address, **looks))
+        return visits[-1].page
 
     yield opened
-    for context in contexts:
-        context.close()
-    assert [words for words in complaints if not any(known in words for known in KNOWN)] == []
+    for visit in visits:
+        visit.context.close()
+    assert [words for visit in visits for words in visit.complaints] == []
+
+
+def expect(what: Any) -> Any:
+    from playwright.sync_api import expect as expected
+
+    return expected(what)
 
 
 @pytest.fixture(scope="module")
@@ -92,14 +81,6 @@ def place() -> Iterator[str]:
     with feed.going_on(), serving(feed, free_port()) as address:
         feed.happen("Worker 7 joined from node1.")
         yield address
-
-
-def number(words: str) -> int:
-    return int(re.sub(r"\D", "", words))
-
-
-def figure(page: Page, name: str) -> Any:
-    return page.locator("#figures > div", has=page.get_by_text(name, exact=True)).locator("dd").first
 
 
 def test_the_page_shows_numbers_that_grow(look: Look, place: str) -> None:
@@ -152,7 +133,7 @@ def test_a_worker_that_was_killed_is_shown_as_gone(look: Look) -> None:
         expect(page.locator("#workers-words")).to_have_text("4 working", timeout=PATIENCE)
         feed.gone = {2}
         feed.step()
-        expect(page.locator("#workers tr[data-state=gone] th")).to_have_text("node2 4102", timeout=2000)
+        expect(page.locator("#workers tr[data-state=gone] th")).to_have_text("node2 4102", timeout=PATIENCE)
         expect(page.locator("#workers-words")).to_have_text("3 working, 1 gone")
 
 

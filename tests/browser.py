@@ -1,0 +1,65 @@
+"""Debian's Chromium, driven by playwright, without a graphics card: the browser of all tests of the page."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PLACES = (Path("/usr/bin/chromium"), Path("/usr/bin/chromium-browser"))
+FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+PATIENCE = 60_000  # ms that a loaded machine may take for what takes a moment
+KNOWN = ("net::ERR_CONNECTION", "net::ERR_INCOMPLETE", "status of 401", "status of 503", "GPU stall")
+"""What a browser complains of where a server is away, a token is asked for, or no graphics card is there."""
+
+
+def missing() -> str:
+    """Why there is no browser; empty where there is one."""
+    if find_spec("playwright") is None:
+        return "needs playwright, which drives the browser"
+    return "" if any(map(Path.exists, PLACES)) else "needs Chromium in /usr/bin, as Debian installs it"
+
+
+needed = pytest.mark.skipif(bool(missing()), reason=missing())
+
+
+@contextmanager
+def launched() -> Iterator[Any]:
+    """The browser; it is closed in the end."""
+    from playwright.sync_api import sync_playwright
+
+    program = next(filter(Path.exists, PLACES))
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=str(program), args=FLAGS)
+        yield browser
+        browser.close()
+
+
+class Visit:
+    """A window of the browser, and what it complained of."""
+
+    def __init__(self, browser: Any, address: str, *, phone: bool = False, **looks: Any) -> None:
+        self.complaints: list[str] = []
+        self.context = browser.new_context(viewport=PHONE if phone else DESKTOP, **looks)
+        self.context.set_default_timeout(PATIENCE)
+        self.page = self.context.new_page()
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", self._hear)
+        self.page.goto(address)
+
+    def _hear(self, said: Any) -> None:
+        if said.type in ("error", "warning") and not any(known in said.text for known in KNOWN):
+            self.complaints.append(said.text)
+
+
+def number(words: str) -> int:
+    """The number that its digits make."""
+    return int("".join(filter(str.isdecimal, words)))
+
+
+def figure(page: Any, name: str) -> Any:
+    """Where the page shows a figure of the chosen job."""
+    return page.locator("#figures > div", has=page.get_by_text(name, exact=True)).locator("dd").first
