@@ -35,7 +35,7 @@ def progress(view: JobView, width: int, glyphs: Glyphs) -> Text:
     """How far the job is, as a bar."""
     figures = view.figures
     done = min(1.0, figures.evaluations / figures.budget) if figures.budget else 0.0
-    words = f" {100 * done:.0f} %  {figures.left if view.state not in ('gone', 'ended') else view.state}"
+    words = f" {part(done, 1.0)}  {figures.left if view.state not in ('gone', 'ended') else view.state}"
     room = max(4, width - len(words))
     full = int(done * room)
     bar = Text(glyphs.full * full, style="green", no_wrap=True)

@@ -22,7 +22,7 @@ def short(number: float) -> str:
 def part(some: float, total: float) -> str:
     """A share in per cent, in at most five characters: 0 %, <1 %, 62 %."""
     share = 100 * some / total if total else 0.0
-    return "<1 %" if 0 < share < 0.5 else f"{share:.0f} %"
+    return "<1 %" if 0 < share <= 0.5 else f"{share:.0f} %"
 
 
 def span(seconds: float) -> str:
