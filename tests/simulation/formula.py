@@ -14,6 +14,7 @@ from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import RESULT, Rows, pack
 from qdgrasp_worker.serving.frames import Begun, Evaluate, Frame, Lacking, Part, Ready, Said
+from qdgrasp_worker.serving.limits import CLOCK_OVER
 from qdgrasp_worker.serving.simulator import Ended, Heard, News
 from qdgrasp_worker.serving.vitals import Vitals
 
@@ -90,6 +91,10 @@ class Formula:
         assert isinstance(frame, Evaluate)
         self._queue.append(frame)
         self._begin()
+
+    def stop(self) -> None:
+        """Be ended for having said nothing."""
+        self._die(-CLOCK_OVER)
 
     def close(self) -> None:
         """Be gone."""

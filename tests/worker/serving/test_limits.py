@@ -1,15 +1,10 @@
 """What a simulator's process imposes on itself."""
 
 import os
-import socket
 import subprocess
 import sys
 
-import pytest
-
-from qdgrasp_worker.serving.frames import Settings, encode
-from qdgrasp_worker.serving.limits import CLOCK_OVER, TIME_OVER
-from qdgrasp_worker.serving.line import Line
+from qdgrasp_worker.serving.limits import TIME_OVER
 
 STAND_BACK = """
 import os, time
@@ -36,10 +31,9 @@ for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
 print("here")
 """
 TAKE_TIME = """
-import signal
 from qdgrasp_worker.serving.limits import time_limit
-with time_limit({}):
-    {}
+with time_limit(0.2):
+    sum(range(10**12))
 """
 
 
@@ -62,26 +56,6 @@ def test_what_is_meant_for_a_group_does_not_end_it():
     assert said(HEED) == "here"
 
 
-@pytest.mark.parametrize(
-    ("seconds", "work", "end"),
-    [(0.2, "while True: pass", TIME_OVER), (0.05, "signal.pause()", CLOCK_OVER)],
-)
-def test_what_takes_too_long_ends_it_also_inside_of_a_call(seconds, work, end):
-    done = subprocess.run([sys.executable, "-c", TAKE_TIME.format(seconds, work)], check=False)
-    assert -done.returncode == end
-
-
-PROBE_FOR_EVER = """
-import signal, socket, sys
-from qdgrasp_worker.serving import child
-child.PROBE_SECONDS = 0.05
-child.main(probe=signal.pause)
-"""
-
-
-def test_probes_that_never_end_end_the_simulator():
-    ours, its = socket.socketpair()
-    with ours, its:
-        Line(ours).send(encode(Settings(row_seconds=1000.0, memory=1 << 30, nice=0)))
-        done = subprocess.run([sys.executable, "-c", PROBE_FOR_EVER], stdin=its, check=False)
-    assert -done.returncode == CLOCK_OVER
+def test_what_takes_too_long_ends_it_also_inside_of_a_call():
+    done = subprocess.run([sys.executable, "-c", TAKE_TIME], check=False)
+    assert -done.returncode == TIME_OVER

@@ -2,9 +2,11 @@
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from time import monotonic
 
 import numpy as np
@@ -14,15 +16,20 @@ from tests.worker.serving.batches import work
 
 from qdgrasp_protocol.messages import Result, Work
 from qdgrasp_worker.serving.frames import Settings
-from qdgrasp_worker.serving.limits import STALL
-from qdgrasp_worker.serving.simulator import Ended, News, Simulator
+from qdgrasp_worker.serving.limits import PROBE_SECONDS, STALL
+from qdgrasp_worker.serving.simulator import News, Simulator
 from qdgrasp_worker.serving.task import Task
-from qdgrasp_worker.serving.workshop import NoSimulator, Upshot, Workshop
+from qdgrasp_worker.serving.workshop import NoSimulator, Workshop
 
 PATIENCE = 200.0
 ROW_SECONDS = 0.4
 MEGABYTE = 1_000_000
 SCENE = b"a scene"
+PROBE_FOR_EVER = """
+import signal
+from qdgrasp_worker.serving import child
+child.main(probe=signal.pause)
+"""
 
 
 class Hands:
@@ -41,15 +48,24 @@ class Hands:
         self.hired.append(Simulator(self.command, self.settings, self.inbox.put))
         return self.hired[-1]
 
+    def begin(self) -> None:
+        """Wait until a batch may be put in."""
+        while not self.workshop.has_room:
+            self.hear()
+
     def hear(self) -> None:
         """Take the next news, and have begun batches go on."""
-        patience = min(PATIENCE, max(0.0, self.workshop.opens_at - monotonic()))
-        if patience == PATIENCE:
-            upshot = self.workshop.hear(self.inbox.get(timeout=PATIENCE), monotonic())
-            self.done += [task.result("a" * 32) for task in upshot.done]
-            self.lost += upshot.lost
-        else:
+        if self.workshop.opens_at < inf:
             self.workshop.tick(self.workshop.opens_at)
+            return
+        try:
+            news = self.inbox.get(timeout=max(0.0, min(PATIENCE, self.workshop.tick_at - monotonic())))
+        except Empty:
+            self.workshop.tick(monotonic())
+            return
+        upshot = self.workshop.hear(news, monotonic())
+        self.done += [task.result("a" * 32) for task in upshot.done]
+        self.lost += upshot.lost
         while self.workshop.has_room and (task := self.workshop.next_again):
             self.put(task)
 
@@ -59,8 +75,7 @@ class Hands:
 
     def evaluate(self, batch: Work, bundle: bytes = SCENE) -> Result:
         """The result of one batch."""
-        while not self.workshop.has_room:
-            self.hear()
+        self.begin()
         self.put(Task("job", batch), bundle)
         while not self.done:
             self.hear()
@@ -91,26 +106,46 @@ def test_a_batch_comes_back_with_the_rows_in_order(hands):
     assert len(hands.hired) == 1
 
 
-def test_a_simulator_that_the_clock_ended_twice_is_no_evidence_against_its_row(hands):
-    while not hands.workshop.has_room:
-        hands.hear()
+def test_a_simulator_that_stood_still_for_long_is_no_evidence_against_its_row(hands):
+    hands.begin()
+    (simulator,) = hands.hired
+    os.kill(simulator.pid, signal.SIGSTOP)
+    while not simulator.vitals.is_stopped:
+        pass
     hands.put(Task("job", work()))
-    for _ in range(2):
-        stopped = hands.hired[-1]
-        assert hands.workshop.hear(Ended(stopped, -signal.SIGALRM), monotonic()) == Upshot()
-        stopped.close()
-        while not hands.workshop.tasks or hands.hired[-1] is stopped or hands.workshop.next_again:
-            hands.hear()
+    for second in range(1000):
+        hands.workshop.tick(monotonic() + second)
+    os.kill(simulator.pid, signal.SIGCONT)
     while not hands.done:
         hands.hear()
-    assert hands.done[0].failures == []
+    assert (hands.done[0].failures, hands.hired) == ([], [simulator])
 
 
-def test_a_row_at_which_simulators_stall_again_and_again_is_found(hands):
+def test_a_worker_that_stood_still_for_long_ends_no_simulator_for_it(hands):
+    hands.begin()
+    (simulator,) = hands.hired
+    hands.put(Task("job", work(row_0=stand_in.DAWDLE)))
+    hands.workshop.tick(monotonic() + 1000 * ROW_SECONDS)
+    while not hands.done:
+        hands.hear()
+    assert (hands.done[0].failures, hands.hired) == ([], [simulator])
+
+
+def test_a_row_at_which_simulators_fall_silent_is_found(hands):
     result = hands.evaluate(work(n=3, row_1=stand_in.SLEEP))
-    reason = f"the simulator took more than {STALL * ROW_SECONDS:g} s on the clock"
+    reason = f"the simulator said nothing for {STALL * ROW_SECONDS:g} s"
     assert [(failure.row, failure.reason) for failure in result.failures] == [(1, reason)]
     assert fitness(result) == [0, 0, 2]
+
+
+def test_probes_that_never_end_end_the_simulator():
+    hands = Hands([sys.executable, "-c", PROBE_FOR_EVER])
+    with hands.workshop:
+        began = monotonic()
+        for second in range(round(STALL * PROBE_SECONDS) + 2):
+            hands.workshop.tick(began + second)
+        with pytest.raises(NoSimulator, match="said nothing"):
+            hands.begin()
 
 
 @pytest.mark.parametrize(
@@ -143,8 +178,7 @@ def test_rows_that_are_known_are_not_evaluated_again(hands, log):
 
 
 def test_the_batch_that_waits_behind_goes_to_the_next_simulator(hands):
-    while not hands.workshop.has_room:
-        hands.hear()
+    hands.begin()
     hands.put(Task("job", work(1, n=3, row_1=stand_in.ABORT)))
     hands.put(Task("job", work(2, n=3)))
     assert not hands.workshop.has_room
@@ -156,8 +190,7 @@ def test_the_batch_that_waits_behind_goes_to_the_next_simulator(hands):
 
 
 def test_a_kill_from_outside_says_nothing_against_a_row(hands):
-    while not hands.workshop.has_room:
-        hands.hear()
+    hands.begin()
     hands.put(Task("job", work(n=3, row_1=stand_in.BE_KILLED)))
     while not hands.lost:
         hands.hear()
@@ -198,8 +231,7 @@ def test_a_scene_that_a_simulator_no_longer_has_is_given_to_it_again(hands):
 
 def test_a_simulator_that_takes_too_much_memory_is_replaced_between_batches(hands):
     leaks = {f"row_{row}": stand_in.LEAK for row in range(3)}
-    while not hands.workshop.has_room:
-        hands.hear()
+    hands.begin()
     hands.put(Task("job", work(1, n=4, **leaks)))
     while not hands.done:
         hands.hear()
@@ -215,4 +247,4 @@ def test_a_simulator_that_takes_too_much_memory_is_replaced_between_batches(hand
 def test_a_simulator_that_does_not_start_is_said_with_its_reason():
     hands = Hands([*stand_in.COMMAND[:2], "tests.worker.serving.no_such_module"])
     with hands.workshop, pytest.raises(NoSimulator, match="ended with exit code 1"):
-        hands.hear()
+        hands.begin()

@@ -39,7 +39,6 @@ from qdgrasp_worker.worlds import Worlds
 
 SLICE = 16
 """Rows evaluated at once; evaluation is pure, so slicing changes nothing."""
-PROBE_SECONDS = 60.0  # CPU seconds that the probes may take; they take one or two
 TELL_INTERVAL = 0.1  # seconds between two parts of a batch, at least
 WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
 F = TypeVar("F", bound=Frame)
@@ -157,7 +156,7 @@ def serve(line: Line, load: Load, probe: Probe) -> None:
         return
     limits.limit_memory(settings.memory)
     limits.stand_back(settings.nice)
-    with limits.time_limit(PROBE_SECONDS):
+    with limits.time_limit(limits.PROBE_SECONDS):
         found = probe()
     line.send(encode(Ready(platform=found)))
     child = Child(line, settings.row_seconds, load)

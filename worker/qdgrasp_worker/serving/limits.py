@@ -1,4 +1,4 @@
-"""What a simulator may take, held by the kernel: a call into C cannot put these limits off."""
+"""What a simulator may take, held by the kernel and its worker: a call into C cannot put these limits off."""
 
 import ctypes
 import os
@@ -11,9 +11,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 STALL = 10
-"""So many times its limit of CPU seconds something may take on the clock, on a machine that others use."""
+"""So many times its limit of CPU seconds a simulator may say nothing, on a machine that others use."""
+PROBE_SECONDS = 60.0  # CPU seconds that the probes may take; they take one or two
 TIME_OVER, CLOCK_OVER = signal.SIGPROF, signal.SIGALRM
-"""What ends one that passed its limit: on the CPU, or on the clock, which runs also while it is stopped."""
+"""What ends one that passed its limit: on the CPU, by the kernel, or on the clock, by its worker."""
 AUTOGROUP = Path("/proc/self/autogroup")
 WISHES, WISH_INTERVAL = 100, 0.13  # how often a wish is repeated, and after how many seconds
 _PR_SET_PDEATHSIG = 1
@@ -23,12 +24,10 @@ _PR_SET_PDEATHSIG = 1
 def time_limit(seconds: float) -> Iterator[None]:
     """End this process if what follows takes more than so many CPU seconds."""
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    signal.setitimer(signal.ITIMER_REAL, STALL * seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def limit_memory(size: int) -> None:

@@ -18,6 +18,7 @@ from qdgrasp_worker.serving.rota import Rota
 
 log = structlog.get_logger()
 
+
 class RefusedByJob(Refused):
     """The only job this worker was meant for does not take it."""
 

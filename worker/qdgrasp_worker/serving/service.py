@@ -136,7 +136,7 @@ class WorkerService:
         join_at = inf if self._workshop.platform is None else self._jobs.next_join()
         sign_at = self._sign_at if self._jobs else inf
         end_at = self._jobs.next_end()
-        first = min(join_at, end_at, self._leave.deadline, self._workshop.opens_at, sign_at)
+        first = min(join_at, end_at, self._leave.deadline, self._workshop.tick_at, sign_at)
         return None if first == inf else max(0.0, first - now)
 
     def _hear(self, patience: float | None) -> None:

@@ -8,9 +8,6 @@ from dataclasses import dataclass, field
 from qdgrasp_protocol.messages import Failure, Result, Work, short
 from qdgrasp_worker.serving.frames import Evaluate, Part
 
-STALLS = 3
-"""So many stalls at one place are evidence: whoever stops a simulator by a signal does so once."""
-
 
 @dataclass(eq=False)
 class Task:
@@ -27,8 +24,6 @@ class Task:
     since: float = 0.0
     """When the simulator came to it."""
     cpu_seconds: float = 0.0
-    _stalls: int = 0
-    _stalled_at: int = -1
     _parts: list[Part] = field(default_factory=list)
     _failures: list[Failure] = field(default_factory=list)
 
@@ -77,16 +72,6 @@ class Task:
         elif self.is_careful or self.done == self.work.n - 1:
             self.add(Part(n=1, failures=[Failure(row=0, reason=short(reason))]))
         self.is_careful = True
-
-    def stall(self) -> bool:
-        """Hear that the simulator passed its limit on the clock; gives whether that speaks against anything.
-
-        The clock goes on while a simulator is stopped; so once, or twice at the same row, is no evidence.
-        """
-        self._stalls = self._stalls + 1 if self.done == self._stalled_at else 1
-        self._stalled_at = self.done
-        self.is_careful = True
-        return self._stalls >= STALLS
 
     def fail(self, reason: str) -> None:
         """Note that no row can be evaluated, for one reason."""

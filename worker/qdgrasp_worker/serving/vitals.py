@@ -16,6 +16,8 @@ class Vitals:
     """What it has had of the processor."""
     memory: int
     """What it has of the memory now [bytes]."""
+    is_stopped: bool = False
+    """It stands still: by SIGSTOP, or because somebody traces it."""
 
 
 NOTHING = Vitals(0.0, 0)
@@ -29,4 +31,4 @@ def vitals(pid: int) -> Vitals:
     except OSError:
         return NOTHING
     user, system, pages = (int(fields[place]) for place in (11, 12, 21))
-    return Vitals((user + system) / TICKS, pages * PAGE)
+    return Vitals((user + system) / TICKS, pages * PAGE, is_stopped=fields[0] in "Tt")

@@ -12,7 +12,8 @@ import structlog
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_worker.serving.docket import Docket
 from qdgrasp_worker.serving.frames import Broken, Lacking, Part, Ready, Said, Settings
-from qdgrasp_worker.serving.limits import CLOCK_OVER
+from qdgrasp_worker.serving.limits import PROBE_SECONDS, STALL
+from qdgrasp_worker.serving.silence import Silence
 from qdgrasp_worker.serving.simulator import Ended, Heard, News, Simulator, evidence
 from qdgrasp_worker.serving.task import Task
 from qdgrasp_worker.serving.vitals import NOTHING
@@ -75,6 +76,7 @@ class Workshop:
         self._scenes: set[str] = set()
         self._fatal: Counter[str] = Counter()
         self._pauses = pauses()
+        self._silence = Silence()
         self._is_retiring = False
         self._last_words = ""
         self._vitals = NOTHING
@@ -132,6 +134,8 @@ class Workshop:
 
     def put(self, task: Task, bundle: bytes | None, now: float) -> None:
         """Let the simulator evaluate a batch, with its scene unless it has that."""
+        if self.head is None:
+            self._silence.begin(now)
         self._simulator.say(task.request(bundle))
         self._docket.send(task, now)
         self._scenes.add(task.work.scene)
@@ -159,6 +163,7 @@ class Workshop:
         return self._ended(news, now)
 
     def _said(self, frame: Said, now: float) -> Upshot:
+        self._silence.begin(now)
         match frame:
             case Ready(platform=platform):
                 self._welcome(platform)
@@ -186,9 +191,6 @@ class Workshop:
         self._close(now if is_of_a_row else now + next(self._pauses))
         if reason is None:
             return Upshot(lost=self._docket.lose())
-        if -news.code == CLOCK_OVER and self.head is not None and not self.head.stall():
-            self._docket.again()
-            return Upshot()
         if self.head is not None and self.head.is_loading:
             self._fatal[self.head.work.scene] += 1
         done = self._docket.stumble(reason)
@@ -196,8 +198,18 @@ class Workshop:
 
     # Time passes.
 
+    @property
+    def tick_at(self) -> float:
+        """When `tick` has something to do if nothing happens before; infinite: never."""
+        return min(self.opens_at, self._silence.look_at if self._is_at_work else inf)
+
+    @property
+    def _is_at_work(self) -> bool:
+        """Something is awaited of a simulator that is there: the probes, or a batch."""
+        return self.opens_at == inf and not (self.is_ready and self.head is None)
+
     def tick(self, now: float) -> None:
-        """Start the next simulator when it is time, and have one that takes too much memory replaced."""
+        """Start the next simulator when it is time, and end one that is silent, or takes too much memory."""
         if now >= self.opens_at:
             self.opens_at = inf
             self.restarts += 1
@@ -205,6 +217,15 @@ class Workshop:
         elif self._is_retiring and self.head is None:
             self._simulator.close()
             self._close(now)
+        elif now >= self.tick_at:
+            self._listen(now)
+
+    def _listen(self, now: float) -> None:
+        """End the simulator if it has been silent for too long."""
+        self._silence.look(now, is_stopped=self._simulator.vitals.is_stopped)
+        if self._silence.seconds > STALL * (self._row_seconds if self.is_ready else PROBE_SECONDS):
+            self._silence.begin(now)
+            self._simulator.stop()
 
     def look(self) -> bool:
         """Look at the simulator: whether it did anything since the last time, and what memory it takes."""
@@ -224,6 +245,7 @@ class Workshop:
         self.is_ready = self._is_retiring = False
         self.opens_at = opens_at
         self._last_words = ""
+        self._silence = Silence()
         self._scenes.clear()
 
 
