@@ -1,6 +1,6 @@
 """Series: how figures grew while somebody watched, in points few enough to be drawn at once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 from msgspec import Struct
@@ -30,25 +30,51 @@ class Series(Struct, frozen=True, kw_only=True):
 
 
 class Look(NamedTuple):
-    """One look at the figures of a job or a run."""
+    """One look at the figures of a job or a run: first what a series shows, in its order."""
 
     at: float
-    seconds: float
-    """Since its coordinator began with it."""
-    fresh: float
-    """Counted evaluations since then, replayed ones apart."""
     evaluations: int
+    rate: float
     successes: int
     cells: int
     robust: int
     workers: int
+    seconds: float
+    """Since its coordinator began with it."""
+    fresh: float
+    """Counted evaluations since then, replayed ones apart."""
 
     @classmethod
-    def of(cls, figures: Figures | JobFigures, at: float) -> "Look":
-        """What they were at a time."""
-        one = figures
-        fresh = one.rate * one.seconds
-        return cls(at, one.seconds, fresh, one.evaluations, one.successes, one.cells, one.robust, one.workers)
+    def of(cls, figures: Figures | JobFigures, at: float, before: Sequence["Look"]) -> "Look":
+        """What they are at a time, after other looks."""
+        one, seconds, fresh = figures, figures.seconds, figures.rate * figures.seconds
+        rate = rate_of(seconds, fresh, before)
+        return cls(
+            at, one.evaluations, rate, one.successes, one.cells, one.robust, one.workers, seconds, fresh
+        )
+
+
+def rate_of(seconds: float, fresh: float, before: Sequence[Look]) -> float:
+    """Counted evaluations per second over the `WINDOW` before now; since the beginning where that is later.
+
+    Parameters
+    ----------
+    seconds, fresh
+        Those of the look now.
+    before
+        The looks before it.
+    """
+    began_at, began = 0.0, 0.0
+    later = seconds
+    for look in reversed(before):
+        if look.seconds > later:
+            break  # another coordinator began to count anew
+        later, began_at, began = look.seconds, look.seconds, look.fresh
+        if look.seconds <= seconds - WINDOW:
+            break
+    if began_at >= seconds:
+        began_at, began = 0.0, 0.0
+    return max(0.0, (fresh - began) / (seconds - began_at)) if seconds > began_at else 0.0
 
 
 class Thinned(Generic[Kind]):
@@ -96,37 +122,11 @@ class History:
 
     def add(self, figures: Figures | JobFigures, at: float) -> None:
         """Note how far it is."""
-        self._looks.add(Look.of(figures, at))
+        self._looks.add(Look.of(figures, at, self._looks.points))
 
     @property
     def series(self) -> Series:
         """The series so far."""
-        looks = self._looks.points
-        return Series(
-            at=[look.at for look in looks],
-            evaluations=[look.evaluations for look in looks],
-            rate=rates(looks),
-            successes=[look.successes for look in looks],
-            cells=[look.cells for look in looks],
-            robust=[look.robust for look in looks],
-            workers=[look.workers for look in looks],
-        )
-
-
-def rates(looks: list[Look]) -> list[float]:
-    """Counted evaluations per second at each of some looks, over the `WINDOW` before it."""
-    found, since = [], 0
-    for number, look in enumerate(looks):
-        if number and look.seconds < looks[number - 1].seconds:
-            since = number  # another coordinator began to count anew
-        while since < number - 1 and looks[since + 1].seconds <= look.seconds - WINDOW:
-            since += 1
-        found.append(_rate(looks[since], look))
-    return found
-
-
-def _rate(before: Look, after: Look) -> float:
-    seconds, fresh = after.seconds - before.seconds, after.fresh - before.fresh
-    if seconds <= 0:  # one look alone: since the coordinator began
-        seconds, fresh = after.seconds, after.fresh
-    return max(0.0, fresh / seconds) if seconds > 0 else 0.0
+        columns = [list(column) for column in zip(*self._looks.points, strict=True)]
+        names = Series.__struct_fields__
+        return Series(**dict(zip(names, columns or [[] for _ in names], strict=False)))

@@ -5,11 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.coordinator.monitor.shown import figures
 
-from qdgrasp_coordinator.monitor.series import MOST, WINDOW, History, Look, Thinned, rates
-
-
-def look(at: float, seconds: float, fresh: float) -> Look:
-    return Look(at, seconds, fresh, 0, 0, 0, 0, 0)
+from qdgrasp_coordinator.monitor.series import MOST, WINDOW, History, Thinned
 
 
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=2000), st.integers(4, 40))
@@ -52,22 +48,34 @@ def test_the_columns_of_a_history_are_of_one_length_and_bounded() -> None:
     assert series.evaluations[-1] == 3 * MOST - 1
 
 
+def rates(*fresh_by_second: float) -> list[float]:
+    """The rates of a coordinator that has evaluated so much by each second."""
+    history = History()
+    for second, fresh in enumerate(fresh_by_second):
+        rate = fresh / second if second else 0.0
+        history.add(figures(seconds=float(second), rate=rate), 1000.0 + second)
+    return history.series.rate
+
+
 def test_a_rate_is_of_the_window_before_it() -> None:
-    slow = [look(second, second, 10.0 * second) for second in range(100)]
-    fast = [look(second, second, 990.0 + 50.0 * (second - 99)) for second in range(100, 200)]
-    found = rates(slow + fast)
+    found = rates(
+        *(10.0 * second for second in range(100)), *(990.0 + 50.0 * second for second in range(1, 101))
+    )
     assert found[50] == pytest.approx(10.0)
     assert found[99 + round(WINDOW)] == pytest.approx(50.0)
     assert 10.0 < found[110] < 50.0
 
 
 def test_the_first_rate_is_that_since_the_coordinator_began() -> None:
-    assert rates([look(1000.0, 10.0, 250.0)]) == [25.0]
-    assert rates([look(1000.0, 0.0, 0.0)]) == [0.0]
+    history = History()
+    history.add(figures(seconds=10.0, rate=25.0), 1000.0)
+    assert history.series.rate == [25.0]
+    assert rates(0.0) == [0.0]
 
 
 def test_a_coordinator_that_begins_to_count_anew_makes_no_rate_negative_or_huge() -> None:
-    before = [look(second, second, 10.0 * second) for second in range(60)]
-    after = [look(60.0 + second, second, 10.0 * second) for second in range(60)]
-    assert max(rates(before + after)) <= 10.0 + 1e-9
-    assert min(rates(before + after)) >= 0.0
+    history = History()
+    for second in range(120):
+        history.add(figures(seconds=float(second % 60), rate=10.0), 1000.0 + second)
+    assert max(history.series.rate) == pytest.approx(10.0)
+    assert min(history.series.rate) >= 0.0
