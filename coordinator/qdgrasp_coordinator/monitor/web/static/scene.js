@@ -14,6 +14,7 @@ const PATIENCE = 10000; // ms at most between them while nobody answers
 const TAP = 5; // px: who moved farther has turned the view
 const NEAR = { mouse: 3, pen: 6, touch: 14 }; // px: so close to a voxel is on it
 const CUT_OPEN = 600; // cells: of more, those toward the viewer's right are left out at first
+const GROWN = 1.1; // what was found so much farther out is brought into the picture, until somebody has turned it
 const COLOURS = { object: "#f7e6ca", hand: "#009e8c", mark: "#22262b", flash: "#ffffff", paper: "#ffffff" };
 
 export class SceneView {
@@ -30,6 +31,7 @@ export class SceneView {
   #wait = LISTEN;
   #down = null;
   #stopped = false;
+  #whole = 0; // m: how far voxels were from the middle when all was shown
 
   /**
    * @param canvas the canvas to draw on; its parent is positioned, and gets the axes laid over it
@@ -41,7 +43,6 @@ export class SceneView {
     this.source = new Source(api, job, run);
     this.stage = new Stage(canvas);
     this.stage.onlost = (lost) => this.#say(lost ? "The graphics were lost, and come back by themselves." : "");
-    this.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
   }
 
   /** Begin to show the run, and what is found in it from now on. */
@@ -91,6 +92,7 @@ export class SceneView {
   home() {
     const low = new Vector3(...this.told.low), high = new Vector3(...this.told.high);
     const middle = low.clone().add(high).divideScalar(2);
+    this.#whole = this.voxels.farthest;
     this.stage.look(middle, Math.max(high.distanceTo(low) / 2, this.voxels.farthest) + CELL);
   }
 
@@ -154,10 +156,11 @@ export class SceneView {
       if (page.rows < this.#from || (this.#origin ?? page.origin) !== page.origin) return this.#again();
       this.#origin = page.origin;
       const known = this.voxels.size;
-      if (page.n) this.voxels.update(page, this.calm ? null : now);
+      if (page.n) this.voxels.update(page, this.stage.calm ? null : now);
       if (known < CUT_OPEN && this.voxels.size >= CUT_OPEN) this.voxels.cut = true;
       this.#from = page.next;
       this.#tell();
+      if (!this.stage.touched && this.voxels.farthest > GROWN * this.#whole) this.home();
       if (page.next >= page.rows || !page.n) return;
     }
   }

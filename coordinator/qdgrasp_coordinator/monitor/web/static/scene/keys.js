@@ -15,14 +15,17 @@ export function press(view, { key, shiftKey, ctrlKey, altKey, metaKey }) {
 const turn = (left, up) => ({ stage }) => {
   if (left) stage.controls.rotateLeft(left * TURN);
   if (up) stage.controls.rotateUp(up * TURN);
+  stage.touched = true;
   stage.moved();
 };
 const shift = (x, y) => ({ stage }) => {
   stage.controls.pan(x * SHIFT, y * SHIFT);
+  stage.touched = true;
   stage.moved();
 };
 const zoom = (factor) => ({ stage }) => {
   stage.controls[factor > 1 ? "dollyIn" : "dollyOut"](factor > 1 ? factor : 1 / factor);
+  stage.touched = true;
   stage.moved();
 };
 

@@ -24,6 +24,10 @@ export class Pace {
     return LEVELS[this.#level];
   }
 
+  get finest() {
+    return !this.#level;
+  }
+
   /** Tell how long a frame took [ms]; true where the level changed. */
   took(ms) {
     if (ms > STALLED) return false;

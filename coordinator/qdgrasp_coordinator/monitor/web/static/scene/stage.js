@@ -18,6 +18,10 @@ export class Stage {
     this.things = new Scene();
     this.lens = new Lens();
     this.pace = new Pace();
+    /** Whether nothing may move by itself. */
+    this.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    /** Whether somebody has turned the view since it was last shown whole. */
+    this.touched = false;
     /** How many pictures were drawn. */
     this.drawn = 0;
     /** How long to wait before the next picture of something that glows [ms]. */
@@ -84,6 +88,7 @@ export class Stage {
     this.controls.minZoom = this.lens.scale / 6;
     this.controls.maxZoom = this.lens.scale * 30;
     this.controls.update();
+    this.touched = false;
     this.invalidate();
   }
 
@@ -105,6 +110,7 @@ export class Stage {
   #draw(at) {
     this.#frame = 0;
     if (this.renderer.getContext().isContextLost()) return;
+    this.controls.enableDamping = !this.calm && this.pace.finest; // where pictures are few it would go on for long
     const moving = this.controls.update() || performance.now() - this.#movedAt < REST;
     if (moving) this.#follow(at);
     this.onframe(at);
@@ -167,9 +173,9 @@ export class Stage {
 
   #steered() {
     const controls = new OrbitControls(this.lens.camera, this.canvas);
-    controls.enableDamping = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     controls.dampingFactor = 0.18;
     controls.addEventListener("change", () => this.moved());
+    controls.addEventListener("start", () => (this.touched = true));
     return controls;
   }
 
