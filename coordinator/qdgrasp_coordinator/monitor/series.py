@@ -10,6 +10,7 @@ from qdgrasp_coordinator.counts.figures import Figures, JobFigures
 MOST = 600
 """The most points of a series."""
 STEP = 1.0  # seconds between two points of a young one
+LEAST = 10.0  # seconds of which a rate is to be at least
 WINDOW = 30.0  # seconds over which a rate is taken: results are told generation by generation
 
 Kind = TypeVar("Kind")
@@ -55,7 +56,9 @@ class Look(NamedTuple):
 
 
 def rate_of(seconds: float, fresh: float, before: Sequence[Look]) -> float:
-    """Counted evaluations per second over the `WINDOW` before now; since the beginning where that is later.
+    """Counted evaluations per second over the `WINDOW` before now.
+
+    Over all the time since the coordinator began, where it is not known how far it was `LEAST` ago.
 
     Parameters
     ----------
@@ -64,17 +67,16 @@ def rate_of(seconds: float, fresh: float, before: Sequence[Look]) -> float:
     before
         The looks before it.
     """
-    began_at, began = 0.0, 0.0
+    began = earlier = (0.0, 0.0)
     later = seconds
     for look in reversed(before):
         if look.seconds > later:
             break  # another coordinator began to count anew
-        later, began_at, began = look.seconds, look.seconds, look.fresh
-        if look.seconds <= seconds - WINDOW:
+        later, earlier = look.seconds, (look.seconds, look.fresh)
+        if seconds - later >= WINDOW:
             break
-    if began_at >= seconds:
-        began_at, began = 0.0, 0.0
-    return max(0.0, (fresh - began) / (seconds - began_at)) if seconds > began_at else 0.0
+    since, counted = earlier if seconds - earlier[0] >= LEAST else began
+    return max(0.0, (fresh - counted) / (seconds - since)) if seconds > since else 0.0
 
 
 class Thinned(Generic[Kind]):

@@ -78,7 +78,7 @@ def sheet(shown: Shown, width: int, glyphs: Glyphs) -> Lines:
     return lines
 
 
-def page(shown: Shown, choice: Choice, width: int, height: int, glyphs: Glyphs) -> int:
+def page(shown: Shown, width: int, height: int, glyphs: Glyphs) -> int:
     """How many rows of a long list are seen at a time."""
     return max(1, height - len(_head(shown, width, glyphs)) - 4 - min(2, len(shown.views)))
 

@@ -7,8 +7,9 @@ import sys
 import termios
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import Self
 
 from qdgrasp_protocol.lifetime import Stop
 
@@ -37,18 +38,42 @@ def keys(data: bytes) -> list[str]:
 
 
 class Keyboard:
-    """Waits for keys, for another size of the terminal, and for the end of this process."""
+    """Waits for keys, for another size of the terminal, and for the end of this process.
+
+    While its context lasts each key is heard at once, and none is shown.
+    """
+
+    is_to_rest = False
+    """Ctrl-Z was pressed: the terminal is to be left as it was, and `rest` to be called."""
 
     def __init__(self, stop: Stop, source: int | None) -> None:
         self._stop = stop
         self._source = source
+        self._before = None if source is None else termios.tcgetattr(source)
         self._end, self._begin = os.pipe()
         os.set_blocking(self._begin, False)
         stop.tell(self.wake)
 
+    def __enter__(self) -> Self:
+        if self._source is not None:
+            tty.setcbreak(self._source)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._source is not None and self._before is not None:
+            termios.tcsetattr(self._source, termios.TCSADRAIN, self._before)
+
     def wake(self) -> None:
         """End the waiting; may be called by a signal's handler."""
-        os.write(self._begin, b"!")
+        with suppress(BlockingIOError):  # it is awake
+            os.write(self._begin, b"!")
+
+    def rest(self) -> None:
+        """Stand still as Ctrl-Z asks, until the shell lets this process go on."""
+        self.is_to_rest = False
+        self.__exit__()
+        os.kill(0, signal.SIGSTOP)
+        self.__enter__()
 
     def wait(self, seconds: float) -> list[str]:
         """The keys that were pressed; none after so many seconds, or when something else happened."""
@@ -65,20 +90,21 @@ class Keyboard:
 
 @contextmanager
 def keyboard(stop: Stop) -> Iterator[Keyboard]:
-    """Hear each key at once and show none; where standard input is no terminal there are none."""
+    """The keyboard of this terminal; where standard input is none there are no keys."""
     source = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None
-    before = None if source is None else termios.tcgetattr(source)
-    heard = Keyboard(stop, source)
+    with Keyboard(stop, source) as heard:
 
-    def resized(_number: int, _frame: FrameType | None) -> None:
-        heard.wake()
+        def resized(_number: int, _frame: FrameType | None) -> None:
+            heard.wake()
 
-    previous = signal.signal(signal.SIGWINCH, resized)
-    try:
-        if source is not None:
-            tty.setcbreak(source)
-        yield heard
-    finally:
-        signal.signal(signal.SIGWINCH, previous)
-        if source is not None:
-            termios.tcsetattr(source, termios.TCSADRAIN, before or [])
+        def to_rest(_number: int, _frame: FrameType | None) -> None:
+            heard.is_to_rest = True
+            heard.wake()
+
+        handlers = {signal.SIGWINCH: resized, signal.SIGTSTP: to_rest}
+        before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+        try:
+            yield heard
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)

@@ -42,17 +42,27 @@ def watch(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, stop: 
 
 def draw(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, heard: Keyboard, stop: Stop) -> None:
     """Draw the whole terminal twice a second, and after each key."""
-    choice = Choice()
-    with Live(
-        console=console, screen=True, auto_refresh=False, redirect_stderr=False, redirect_stdout=False
-    ) as live:
-        while not stop.is_set:
-            shown, (width, height) = look(feed, endpoint), console.size
-            live.update(Group(*frame(shown, choice, width, height, glyphs)), refresh=True)
-            for key in heard.wait(INTERVAL):
-                if key in LEAVE:
-                    return
-                choice = choice.pressed(key, shown.names, page(shown, choice, width, height, glyphs))
+    choice: Choice | None = Choice()
+    while choice is not None and not stop.is_set:
+        screen = Live(
+            console=console, screen=True, auto_refresh=False, redirect_stderr=False, redirect_stdout=False
+        )
+        with screen:
+            while choice is not None and not (stop.is_set or heard.is_to_rest):
+                shown, (width, height) = look(feed, endpoint), console.size
+                screen.update(Group(*frame(shown, choice, width, height, glyphs)), refresh=True)
+                choice = _chosen(choice, heard.wait(INTERVAL), shown, page(shown, width, height, glyphs))
+        if heard.is_to_rest:
+            heard.rest()
+
+
+def _chosen(choice: Choice, keys: list[str], shown: Shown, rows: int) -> Choice | None:
+    """What is to be seen after some keys; None: nothing more."""
+    for key in keys:
+        if key in LEAVE:
+            return None
+        choice = choice.pressed(key, shown.names, rows)
+    return choice
 
 
 def tell(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, heard: Keyboard, stop: Stop) -> None:

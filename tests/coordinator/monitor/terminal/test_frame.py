@@ -87,7 +87,7 @@ class TestLongLists:
         assert first.count("node-") == later.count("node-") == 18
 
     def test_a_page_is_as_many_rows_as_are_seen(self) -> None:
-        rows = page(ONE, Choice(long="workers"), 80, 24, UNICODE)
+        rows = page(ONE, 80, 24, UNICODE)
         assert text(ONE, 80, 24, Choice(long="workers")).count("node-") == rows
 
     def test_the_job_that_is_chosen_is_among_those_that_are_seen(self) -> None:
