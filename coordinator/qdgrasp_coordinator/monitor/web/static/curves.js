@@ -18,7 +18,7 @@ export class Curves {
     const plot = (name, looks) => new Plot(find(name), find(`${name}-legend`), looks);
     this.cells = plot("cells");
     this.successes = plot("successes");
-    this.speed = plot("speed", { timed: true, up: speed });
+    this.speed = plot("speed", { timed: true, up: speed, whole: false });
     this.job = "";
     this.asked = -Infinity;
     this.curves = null;

@@ -9,9 +9,9 @@ export class Plot {
   #shape = "";
   #near = null; // the number of the line near the cursor
 
-  /** `across` and `up` say how numbers along the axes read; `timed`: across is a time in seconds since 1970. */
-  constructor(root, legend, { timed = false, across = short, up = short } = {}) {
-    Object.assign(this, { root, legend, timed, across, up });
+  /** `across` and `up` say how numbers along the axes read; `timed`: across is a time in seconds since 1970; `whole`: up are whole numbers. */
+  constructor(root, legend, { timed = false, across = short, up = short, whole = true } = {}) {
+    Object.assign(this, { root, legend, timed, across, up, whole });
     this.series = [];
     new ResizeObserver(() => this.#fit()).observe(root);
     document.addEventListener("themechange", () => this.#draw());
@@ -64,7 +64,7 @@ export class Plot {
       cursor: { y: false, points: { size: 6 }, focus: { prox: 24 }, drag: { x: false, y: false } },
       focus: { alpha: 0.3 },
       scales: { x: { time: this.timed }, y: { range: (_, low, high) => [0, high > 0 ? high * 1.06 : 1] } },
-      axes: [x, { ...axis, gap: 6, size: 52, space: 36, values: (_, places) => places.map(this.up) }],
+      axes: [x, { ...axis, gap: 6, size: 52, space: 36, values: (_, places) => places.map((place) => (this.whole && place % 1 ? "" : this.up(place))) }],
       series: [{}, ...this.series.map((each) => this.#line(each, colour))],
       hooks: {
         setCursor: [() => this.#tell()],

@@ -3,15 +3,7 @@
 import { element, keyed, put, say } from "./element.js";
 import { ago, count, percent, rate, several, short, span } from "./words.js";
 
-const WORDS = {
-  starting: "starting: no recorder has answered yet",
-  running: "running",
-  paused: "paused",
-  ending: "ending",
-  silent: "silent",
-  gone: "gone",
-  ended: "ended",
-};
+const STARTING = "starting: no recorder has answered yet";
 
 export class Summary {
   constructor(find) {
@@ -33,10 +25,12 @@ export class Summary {
 
   #state(job, run) {
     const node = this.find("state");
-    const quiet = ["silent", "gone"].includes(job.state);
-    const state = run?.finished && !quiet ? "ended" : job.state;
+    const { finished } = (run ?? (job.figures.runs < 2 && job.runs[0])) || {};
+    const away = ["silent", "gone"].includes(job.state);
+    const state = finished && !away ? "ended" : job.state;
+    const more = away ? `, last heard ${ago(job.silent)}` : finished ? `: ${finished}` : "";
     put(node, "data-state", state);
-    say(node, quiet ? `${WORDS[state]}, last heard ${ago(job.silent)}` : run?.finished || WORDS[state] || state);
+    say(node, (state === "starting" ? STARTING : state) + more);
   }
 
   #origin(job, run, now) {

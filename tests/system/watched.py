@@ -1,0 +1,41 @@
+"""A job with real processes, and a monitor that serves its page."""
+
+import re
+import subprocess
+import threading
+
+from tests.endpoints import own_endpoint
+from tests.system.commands import Commands, kill
+from tests.system.test_faults import pids
+
+MONITOR = "qdgrasp_coordinator.cli.monitor"
+
+
+class Watched:
+    """A run with two workers on an endpoint of its own, and the address of its page."""
+
+    def __init__(self, qdgrasp: Commands, job: str, *flags: object) -> None:
+        endpoint, self.folder = own_endpoint(), qdgrasp.home / "run"
+        command = ("run", *flags, "--workers", 2, "--out", "run", "--job", job, "--listen", endpoint)
+        self.run = qdgrasp.start(*command)
+        place = ("--connect", endpoint, "--wait", 120)
+        self.monitor = qdgrasp.start("--web", "127.0.0.1:0", *place, module=MONITOR)
+        self.address = _address(self.monitor)
+
+    def kill(self, role: str) -> None:
+        """End one process of a role, without a word."""
+        kill(pids(self.run, role)[0])
+
+    def ends(self) -> None:
+        """Wait for the run's end."""
+        _, err = self.run.communicate(timeout=1800)
+        assert self.run.returncode == 0, err
+
+
+def _address(monitor: subprocess.Popen[str]) -> str:
+    assert monitor.stderr is not None
+    for line in monitor.stderr:
+        if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
+            threading.Thread(target=monitor.stderr.read, daemon=True).start()  # so that it never has to wait
+            return found[0]
+    raise AssertionError("the monitor says no address")
