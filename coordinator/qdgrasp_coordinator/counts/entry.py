@@ -63,7 +63,7 @@ class RunEntry(Struct, frozen=True, kw_only=True):
             seed=spec.seed,
             scene=scene,
             evaluations=found.evaluations,
-            budget=spec.evaluations,
+            budget=found.budget,
             rows=found.rows,
             trials=found.trials,
             simulated=found.simulated,

@@ -236,9 +236,10 @@ class Turn:
 
     def _lost(self, lost: Lost, now: float) -> None:
         """Note that a worker was given up: it is gone, as it wanted or not, or is stuck."""
-        how = "is stuck" if lost.is_there else "has left" if self._team.is_leaving(lost.wid) else "is gone"
+        end = "is stuck" if lost.is_there else "is gone"
+        how = "has left" if self._team.is_leaving(lost.wid) else f"{end}: {lost.reason}"
         again = f"; {lost.batches} of its batches are queued again" if lost.batches else ""
-        words = f"{self._team.words(lost.wid)} {how}: {lost.reason}{again}."
+        words = f"{self._team.words(lost.wid)} {how}{again}."
         self._chronicle.note("worker", words, worker=lost.wid)
         if not lost.is_there:
             self._team.lost(lost.wid, now)

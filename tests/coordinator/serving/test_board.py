@@ -1,0 +1,194 @@
+"""What a coordinator shows of its job."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from tests.coordinator.recording.recorded import JOB
+from tests.coordinator.runs.plans import Plan
+from tests.coordinator.serving.served import PLANS, SOON, Job, Pretender, until
+
+from qdgrasp_coordinator.counts import figures
+from qdgrasp_coordinator.counts.curve import Curve
+from qdgrasp_coordinator.counts.events import KEPT, Event, Events
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, from_json
+from qdgrasp_coordinator.counts.tally import Tally
+from qdgrasp_coordinator.counts.team import TeamFigures
+from qdgrasp_coordinator.serving.chronicle import Chronicle
+from qdgrasp_protocol import codec
+from qdgrasp_protocol.bus import Bus, Sample
+from qdgrasp_protocol.errors import RunsFailed
+from qdgrasp_protocol.keys import Keys, matches
+from qdgrasp_protocol.messages import Opened
+from qdgrasp_protocol.outcome import Outcome
+
+KEYS = Keys(JOB)
+ANN = "a" * 32
+LONG = Plan(population=40, evaluations=100_000)
+
+
+class Heard:
+    """Everything that a monitor hears of a job."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.samples: list[Sample] = []
+
+    @contextmanager
+    def listening(self) -> Iterator["Heard"]:
+        with (
+            self._bus.subscribe(KEYS.stat(), self.samples.append),
+            self._bus.subscribe(KEYS.event(), self.samples.append),
+        ):
+            yield self
+
+    def of(self, pattern: str) -> list[bytes]:
+        return [sample.payload for sample in self.samples if matches(pattern, sample.key)]
+
+    def words(self, kind: str = "*") -> list[str]:
+        return [from_json(payload, Event).words for payload in self.of(KEYS.event(kind))]
+
+
+def carried_out(job: Job, **how: int) -> Heard:
+    with Heard(job.network.session()).listening() as heard:
+        job.carry_out(**how)
+    return heard
+
+
+def test_the_last_figures_of_a_run_are_those_of_its_journal_and_say_why_it_is_over() -> None:
+    plan = PLANS["run-3"]
+    job = Job({"run-3": plan})
+    heard = carried_out(job)
+    last = from_json(heard.of(KEYS.stat("run/run-3"))[-1], Figures)
+    tally = Tally(plan.evaluations, "count")
+    tally.count(job.records["run-3"].rows)
+    names = [
+        "evaluations",
+        "rows",
+        "simulated",
+        "successes",
+        "grasps",
+        "robust",
+        "errors",
+        "cells",
+        "outcomes",
+    ]
+    assert {name: getattr(last, name) for name in names} == {name: getattr(tally, name) for name in names}
+    assert set(last.outcomes) == {outcome.name.lower() for outcome in Outcome}
+    assert sum(last.outcomes.values()) == last.rows - last.trials
+    assert last.finished == "the budget of 40 evaluations is spent"
+    assert (last.gripper, last.object, last.protocol, last.budget) == ("hand", "thing", "paper", 40)
+
+
+def test_the_figures_of_the_job_are_the_sums_of_those_of_its_runs() -> None:
+    job = Job(dict(PLANS))
+    heard = carried_out(job)
+    runs = {one.run: one for one in (from_json(text, Figures) for text in heard.of(KEYS.stat("run/*")))}
+    last = from_json(heard.of(KEYS.stat("job"))[-1], JobFigures)
+    for name in ("evaluations", "successes", "grasps", "robust", "errors", "cells", "overlaps"):
+        assert getattr(last, name) == sum(getattr(run, name) for run in runs.values()), name
+    assert (last.waiting, last.requeued, last.strays) == (0, 0, 0)
+
+
+def test_rows_that_no_recorder_has_confirmed_are_waiting() -> None:
+    job = Job({"run-0": LONG}, recorded=True)
+    waits: list[int] = []
+
+    def look(now: float) -> None:
+        waits.append(job.service.figures(now).waiting)
+        if waits[-1] > 0:
+            job.stop.set(15)
+
+    opened = codec.encode(Opened(epoch=1, durable=[0], platform={}))
+    with (
+        job.network.session() as bus,
+        bus.answer(KEYS.open, lambda _query: opened),
+        Pretender(job.network.session(), ANN).at_work(),
+    ):
+        job.service.run(look)
+    assert waits[-1] > 0
+
+
+def test_what_happens_is_told_when_it_does() -> None:
+    job = Job({"bad": None, "run-1": PLANS["run-1"]})
+    heard = Heard(job.network.session())
+    with heard.listening(), pytest.raises(RunsFailed):
+        job.carry_out(workers=1)
+    assert re.fullmatch(r"The coordinator on \S+ \(process \d+\) begins\.", heard.words("job")[0])
+    assert heard.words("job")[1:] == ["The coordinator ends: done."]
+    assert heard.words("run") == [
+        "Run 'run-1' begins.",
+        "Run 'run-1' is finished: the budget of 40 evaluations is spent.",
+    ]
+    assert heard.words("worker")[0] == "Worker 00000000 on here (process 1) joined."
+    assert heard.words("error")[0] == "Run 'bad' cannot be carried out: Its mesh is no mesh."
+    given_up = [words for words in heard.words("error") if "given up after 3 tries: poison" in words]
+    poison = int((job.records["run-1"].rows["outcome"] == Outcome.ERROR).sum())
+    assert len(given_up) == poison > 0
+    numbers = [from_json(payload, Event).number for payload in heard.of(KEYS.event())]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_that_trouble_came_and_went_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "PATIENCE", 0.0)
+    job = Job(dict(PLANS))
+    job.programme.has_room.clear()
+    heard = Heard(job.network.session())
+
+    def make_room(now: float) -> None:
+        if heard.words("trouble") and not job.programme.has_room.is_set():
+            job.programme.has_room.set()
+
+    with heard.listening(), Pretender(job.network.session(), "f" * 32).at_work():
+        job.service.run(make_room)
+    assert heard.words("trouble") == ["There is no room.", "It goes on; this is over: There is no room."]
+
+
+def test_those_who_come_late_hear_what_happened_and_how_counts_grew() -> None:
+    job = Job({"run-0": LONG})
+    with job.serving(), job.network.session() as bus, Pretender(job.network.session(), ANN).at_work():
+        until(lambda: curve(bus, "run-0").points)
+        values = bus.ask_all(KEYS.stat())
+        (recent,) = bus.ask_all(KEYS.recent).values()
+        everywhere = bus.ask_all("qdgrasp/v1/*/stat/curve/*")
+    kinds = {key.removeprefix(KEYS.stat("")).split("/")[0] for key in values}
+    assert kinds == {"job", "run", "team"}, "curves are shown where they are asked for"
+    assert "Run 'run-0' begins." in [event.words for event in from_json(recent, Events).events]
+    assert set(everywhere) == {KEYS.stat("curve/run-0")}
+    first = curve_of(everywhere, "run-0").points[0]
+    assert first.evaluations == LONG.population
+    assert first.successes >= first.robust
+
+
+def test_a_worker_that_dies_is_shown_as_gone() -> None:
+    job = Job({"run-0": LONG})
+    heard = Heard(job.network.session())
+    with job.serving(), heard.listening():
+        with Pretender(job.network.session(), ANN, answers=False).at_work() as ann:
+            assert ann.kept.wait(SOON)
+            until(lambda: "working" in states(heard))
+        until(lambda: states(heard)[-1:] == ["gone"])
+
+
+def states(heard: Heard) -> list[str]:
+    """The states of the first worker, as they were heard."""
+    pages = [from_json(payload, TeamFigures) for payload in heard.of(KEYS.stat("team/0"))]
+    return [page.workers[0].state for page in pages if page.workers]
+
+
+def curve(bus: Bus, run: str) -> Curve:
+    return curve_of(bus.ask_all(KEYS.stat(f"curve/{run}")), run)
+
+
+def curve_of(values: dict[str, bytes], run: str) -> Curve:
+    payload = values.get(KEYS.stat(f"curve/{run}"))
+    return from_json(payload, Curve) if payload else Curve(run=run, points=[])
+
+
+def test_nobody_needs_to_have_listened_to_hear_what_happened_last() -> None:
+    chronicle = Chronicle()
+    for number in range(KEPT + 50):
+        chronicle.note("job", f"{number}")
+    latest = chronicle.latest.events
+    assert (len(latest), latest[0].words, latest[-1].number) == (KEPT, "50", KEPT + 50)
