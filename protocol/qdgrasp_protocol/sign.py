@@ -9,14 +9,16 @@ class Sign(Struct, frozen=True, kw_only=True):
     """How a worker is."""
 
     wid: Wid
+    """Its id."""
     host: Text
+    """Where it runs."""
     run: Text = ""
     """Of the batch in work; empty: there is none."""
     rows: Count = 0
-    """Of that batch."""
+    """Of that batch; 0: there is none."""
     progressed: bool = True
     """Whether its simulator did anything since the last sign."""
     memory: Count = 0
-    """Bytes that it and its simulator take together; 0: unknown."""
+    """What it and its simulator have of the memory [bytes]; 0: unknown."""
     restarts: Count = 0
     """How often it has started its simulator again."""

@@ -36,18 +36,24 @@ class Point(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
     evaluations: int
+    """Counted evaluations."""
     proposals: int
+    """Poses that decoding screened, simulated or not."""
     successes: int
+    """A finger touches the object after closing."""
     cells: int
+    """Distinct 1 cm cells with a success."""
     robust: int
+    """Successes that survived both shakes: fitness 2."""
 
 
 class Curve(Struct, frozen=True, kw_only=True):
     """How the counts of a run grew. JSON, the answer to a query on `stat/curve/<run>`."""
 
     run: str
+    """Its name in its job."""
     points: list[Point]
-    """At most `POINTS`, at evenly spaced generations."""
+    """At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust."""
 
 
 class Trail:

@@ -13,11 +13,17 @@ class RunEntry(Struct, frozen=True, kw_only=True):
     """What a run is, and what its rows add up to: of one in progress, or of one in a job's folder."""
 
     run: str
+    """Its name in its job."""
     gripper: str
+    """As the spec names it: built in, or a file."""
     object: str
+    """As the spec names it: built in, on the asset path, or a file."""
     method: str
+    """The search with its prior."""
     protocol: str
+    """The evaluation protocol."""
     seed: int
+    """Of the search."""
     scene: str
     """sha256 of the scene bundle."""
     evaluations: int
@@ -84,6 +90,7 @@ class RunEntries(Struct, frozen=True, kw_only=True):
     """Runs in a job's folder, also finished ones, by name. JSON, the answer to a query on `rec/runs`."""
 
     runs: list[RunEntry]
+    """Those whose rows are counted."""
     next: int = 0
     """Ask with `from=<next>` for the runs behind these; 0: there are none."""
     uncounted: int = 0

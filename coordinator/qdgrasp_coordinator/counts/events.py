@@ -20,6 +20,7 @@ class Event(Struct, frozen=True, kw_only=True):
     at: Annotated[datetime, Meta(tz=True)]
     """When."""
     kind: EventKind
+    """job, run, worker, recorder; trouble keeps a job from going on; error: a row or run is given up."""
     words: str
     """What, in a sentence for a person."""
     run: str = ""
@@ -32,3 +33,4 @@ class Events(Struct, frozen=True, kw_only=True):
     """The latest events, eldest first, at most `KEPT`. JSON, the answer to a query on `event/recent`."""
 
     events: list[Event]
+    """At most 200, eldest first."""

@@ -49,9 +49,9 @@ class Figures(RunEntry, frozen=True, kw_only=True):
     durable: int
     """Rows that the recorder reports to be on disk."""
     seconds: float
-    """Since the coordinator opened the run."""
+    """Since the coordinator opened the run [s]."""
     rate: float
-    """Counted evaluations per second since then, replayed ones apart."""
+    """Counted evaluations since then, replayed ones apart [1/s]."""
     trouble: str = ""
     """What keeps the run from going on, in words; empty when nothing does."""
 
@@ -65,7 +65,9 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     """How far a job is with all of its runs. Travels as JSON on `stat/job`."""
 
     job: str
+    """Its name."""
     runs: int
+    """Of the job, begun or not."""
     runs_done: int
     """Finished and recorded, also by earlier coordinators."""
     runs_failed: int
@@ -105,9 +107,9 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     workers: int
     """Workers that are there, and make progress."""
     seconds: float
-    """Since the coordinator started."""
+    """Since the coordinator started [s]."""
     rate: float
-    """Counted evaluations per second since then, replayed ones apart."""
+    """Counted evaluations since then, replayed ones apart [1/s]."""
     trouble: str = ""
     """What keeps the job from going on, in words; empty when nothing does."""
     state: str = "running"
@@ -146,6 +148,7 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     """What a job is and who carries it out. Travels as JSON on `meta` when a coordinator begins its turn."""
 
     job: str
+    """Its name."""
     epoch: int
     """The coordinator's turn; 0 before it has one: no recorder has answered yet."""
     since: Annotated[datetime, Meta(tz=True)]
@@ -153,11 +156,13 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     host: str
     """The coordinator's."""
     pid: int
+    """Of the coordinator's process."""
     version: str
     """Of qdgrasp."""
     runs: int
+    """Of the job, begun or not."""
     budget: int
-    """Counted evaluations of all runs."""
+    """Counted evaluations after which all runs are over."""
 
 
 def _left(evaluations: int, rate: float) -> str:

@@ -10,8 +10,11 @@ class WorkerFigures(Struct, frozen=True, kw_only=True):
     """A worker of a job, as the coordinator sees it."""
 
     wid: str
+    """Its id: 32 hexadecimal digits, new at every start."""
     host: str
+    """Where it runs."""
     pid: int
+    """Of its process."""
     state: str
     """"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone"."""
     batches: int
@@ -19,13 +22,13 @@ class WorkerFigures(Struct, frozen=True, kw_only=True):
     rows: int
     """Rows that it has settled."""
     rate: float
-    """Rows per second that it settled lately."""
+    """Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s]."""
     seconds: float
-    """Since it joined."""
+    """Since it joined [s]."""
     seen: float
-    """Seconds since its last sign of progress."""
+    """Since it was heard of last, by a sign, a result or a join [s]."""
     memory: int
-    """Bytes that it and its simulator take together, as it said last; 0: it has not said."""
+    """What it and its simulator have of the memory, as it said last [bytes]; 0: it has not said."""
     restarts: int
     """How often it has started its simulator again."""
 
@@ -41,4 +44,4 @@ class TeamFigures(Struct, frozen=True, kw_only=True):
     pages: int
     """How many there are; those of a higher number, shown before, are not valid any more."""
     workers: list[WorkerFigures]
-    """At most `PAGE`."""
+    """At most 64, in the order in which they joined; those that are gone stand last, for a minute."""
