@@ -2,14 +2,18 @@
 
 import numpy as np
 import pytest
-from tests.benchmarks import where
+from tests.benchmarks import limits, where
 from tests.benchmarks.coordination import METHODS, Coordinator
 from tests.benchmarks.evaluations import BUILT_IN, REFERENCE
 from tests.benchmarks.ledger import Ledger
 from tests.benchmarks.measure import Figure, Meter, Subject, in_turns, number, spread
 from tests.benchmarks.stages import ORDER, REST, STAGES, STEPS, Profile
+from tests.coordinator.recorded_runs import random_rows
 
 from qdgrasp_assets.catalog import gripper_names, object_names
+from qdgrasp_coordinator.analysis.reference import ReferenceSet
+from qdgrasp_coordinator.counts.cells import cells
+from qdgrasp_coordinator.counts.tally import counted, successes
 from qdgrasp_coordinator.searches.search import METHODS as KNOWN
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.platform import probe_scene, probes
@@ -113,3 +117,18 @@ def test_the_figure_has_a_bar_for_each_regime_of_each_pair(tmp_path) -> None:
         assert sum(widths) == pytest.approx(2.0)
         assert {text.get_text() for text in axes.texts} >= {"100 µs"}
     assert [path.suffix for path in sheet.write(tmp_path / where.NAME)] == [".png", ".svg"]
+
+
+def test_every_counted_evaluation_has_one_fate() -> None:
+    rows = random_rows(200, seed=3)
+    known = np.unique(cells(rows["descriptor"][:, :3]), axis=0)[::2]
+    reference = ReferenceSet("block", known, np.full(len(known), 2, np.uint8))
+    told = list(limits.shares(rows, reference, counted(rows, "count")))
+    assert [share.until for share in told] == [40, 80, 120, 160, 200]
+    for share in told:
+        fates = (share.unseated, share.lost, share.known, share.elsewhere, share.new)
+        assert sum(fates) == pytest.approx(100)
+    found = {tuple(cell) for cell in cells(successes(rows)["descriptor"][:, :3]).tolist()}
+    left = [cell for cell in known.tolist() if tuple(cell) not in found]
+    assert limits.rest(rows, reference).cells == pytest.approx(100 * len(left) / len(known))
+    assert sum(share.new for share in told) * 40 / 100 == pytest.approx(len(known) - len(left))
