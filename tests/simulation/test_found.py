@@ -5,7 +5,7 @@ from tests.coordinator.dispatching.leases import ANN, EPOCH, settle, with_work
 from qdgrasp_coordinator.dispatching.batch import Settlement
 from qdgrasp_coordinator.dispatching.dispatch import Dispatch
 from qdgrasp_protocol.messages import Joined
-from qdgrasp_worker.serving.appointment import Appointment
+from qdgrasp_worker.serving.appointment import RETRY_FIRST, Appointment
 
 
 def leased(dispatch: Dispatch) -> bytes:
@@ -41,7 +41,19 @@ def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_
     appointment.meet(1, True, 0.0)
     appointment.meet(2, True, 1.0)
     appointment.ask(2)
-    appointment.answered(Joined(epoch=1, drop=[]))
+    appointment.answered(Joined(epoch=1, drop=[]), 1.5, 1.0)
     assert not appointment.is_due(2.0)
     appointment.meet(1, False, 2.0)
     assert appointment.is_due(2.0)
+
+
+def test_a_worker_whose_question_an_older_coordinator_answers_asks_again() -> None:
+    """The one that it serves knows of the join before that only, and its leases would be passed over for ever."""
+    appointment = Appointment("job")
+    appointment.meet(8, True, 0.0)
+    appointment.ask(2)
+    appointment.answered(Joined(epoch=8, drop=[]), 1.0, 1.0)
+    appointment.join_soon(2.0)
+    appointment.ask(2)
+    assert not appointment.answered(Joined(epoch=7, drop=[]), 3.0, 1.0)
+    assert appointment.join_at == 3.0 + RETRY_FIRST

@@ -103,11 +103,18 @@ class Appointment:
         samples, self._held_up = self._held_up, []
         return samples
 
-    def answered(self, answer: Joined) -> bool:
-        """Take the answer to a join; False when it comes from an older coordinator than the one known."""
+    def answered(self, answer: Joined, now: float, jitter: float) -> bool:
+        """Take the answer to a join; False when it comes from an older coordinator than the one known.
+
+        The one that is known has then not heard of this join, and nothing that it leases would be taken: it is
+        asked again, after a time that doubles, times the jitter.
+        """
         self.is_asking = False
-        self._patience = RETRY_FIRST
         is_current = self.desk.joined(answer)
+        if is_current:
+            self._patience = RETRY_FIRST
+        else:
+            self.join_later(now, jitter)
         self.desk.is_orphaned |= answer.epoch == self.desk.epoch and answer.epoch not in self._there
         return is_current
 

@@ -112,7 +112,7 @@ class Memberships:
         desk, epoch = appointment.desk, appointment.desk.epoch
         match answered.answer:
             case Joined() as answer:
-                if appointment.answered(answer) and desk.epoch != epoch:
+                if appointment.answered(answer, now, jitter()) and desk.epoch != epoch:
                     log.info("joined", job=desk.job, epoch=desk.epoch, worker=self._wid[:8])
             case Refused() as reason:
                 appointment.refused()
