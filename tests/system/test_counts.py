@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from prometheus_client.parser import text_string_to_metric_families
 from tests.endpoints import own_endpoint
-from tests.system.commands import LONG, Commands, rows_recorded, wait_for
+from tests.system.commands import SMALL, Commands, rows_recorded, wait_for
 from tests.system.test_faults import pids
 
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.outcome import Outcome
 
 MONITOR = "qdgrasp_coordinator.cli.monitor"
+EVALUATIONS = 160
 COUNTS = ["evaluations", "budget", "rows", "trials", "simulated", "proposals", "overlaps", "dead_ends"]
 COUNTS += ["successes", "grasps", "robust", "errors", "cells"]
 Counts = dict[str, Any]
@@ -32,7 +33,20 @@ class Watched:
     def __init__(self, qdgrasp: Commands) -> None:
         self.qdgrasp, self.folder = qdgrasp, qdgrasp.home / "run"
         self._place = ("--connect", own_endpoint(), "--wait", 60)
-        command = ("run", *LONG, "--workers", 2, "--out", "run", "--job", "balls", "--listen", self._place[1])
+        command = (
+            "run",
+            *SMALL,
+            "--evaluations",
+            EVALUATIONS,
+            "--workers",
+            2,
+            "--out",
+            "run",
+            "--job",
+            "balls",
+            "--listen",
+            self._place[1],
+        )
         self.run = qdgrasp.start(*command)
         self.page = qdgrasp.start("--web", "127.0.0.1:0", *self._place, module=MONITOR)
         self._lines: deque[str] = deque(maxlen=1)
@@ -45,8 +59,12 @@ class Watched:
             return answer.read().decode()
 
     def look(self) -> Counts:
-        """The run as `qdgrasp-monitor --once --json` shows it; empty while it shows none."""
-        return _run_in(self.qdgrasp("--once", "--json", *self._place, module=MONITOR).out)
+        """The run as `qdgrasp-monitor --once --json` shows it."""
+        return _run_in(self.once("--json"))
+
+    def once(self, *flags: str) -> str:
+        """What `qdgrasp-monitor --once` prints."""
+        return self.qdgrasp("--once", *flags, *self._place, module=MONITOR).out
 
     def streamed(self) -> Counts:
         """The run in the last line of `qdgrasp-monitor --json`."""
@@ -125,8 +143,8 @@ def test_at_the_end_everybody_says_the_same(qdgrasp):
     watched = Watched(qdgrasp)
     wait_for(lambda: rows_recorded(watched.folder) >= 20, "rows")
     with watched.recorder_held():
-        wait_for(lambda: watched.told().get("evaluations") == 320, "the last evaluation")
-        looked = watched.look()
+        wait_for(lambda: watched.told().get("evaluations") == EVALUATIONS, "the last evaluation")
+        looked, text = watched.look(), watched.once()
     out, err = watched.run.communicate(timeout=120)
     assert watched.run.returncode == 0, err
     wait_for(lambda: watched.state() == "ended", "the end")
@@ -141,3 +159,5 @@ def test_at_the_end_everybody_says_the_same(qdgrasp):
     assert _in_metrics(metrics, "run") == looked
     assert looked == looked | _in_metrics(metrics, "job")
     assert f"{info['successes']} successes in {info['cells']} cells" in out
+    assert all(f"{looked[what]} {what}" in text for what in ("successes", "cells", "robust", "errors"))
+    assert f"{looked['evaluations']} of {looked['budget']} evaluations" in text
