@@ -33,21 +33,9 @@ class Watched:
     def __init__(self, qdgrasp: Commands) -> None:
         self.qdgrasp, self.folder = qdgrasp, qdgrasp.home / "run"
         self._place = ("--connect", own_endpoint(), "--wait", 60)
-        command = (
-            "run",
-            *SMALL,
-            "--evaluations",
-            EVALUATIONS,
-            "--workers",
-            2,
-            "--out",
-            "run",
-            "--job",
-            "balls",
-            "--listen",
-            self._place[1],
-        )
-        self.run = qdgrasp.start(*command)
+        spec = (*SMALL, "--evaluations", EVALUATIONS, "--workers", 2)
+        place = ("--out", "run", "--job", "balls", "--listen", self._place[1])
+        self.run = qdgrasp.start("run", *spec, *place)
         self.page = qdgrasp.start("--web", "127.0.0.1:0", *self._place, module=MONITOR)
         self._lines: deque[str] = deque(maxlen=1)
         self.stream = qdgrasp.start("--json", *self._place, module=MONITOR)
