@@ -12,6 +12,7 @@ from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 from qdgrasp_coordinator.monitor.web.access import Access
 from qdgrasp_coordinator.monitor.web.app import application, serve
 from qdgrasp_coordinator.monitor.web.broadcast import Broadcast
+from qdgrasp_coordinator.monitor.web.library import Library
 from qdgrasp_coordinator.monitor.web.showing import Showing
 from qdgrasp_protocol.lifetime import Stop
 
@@ -41,10 +42,11 @@ def free_port() -> int:
 
 
 @contextmanager
-def serving(feed: FakeFeed, port: int, token: str = "") -> Iterator[str]:
+def serving(feed: FakeFeed, port: int, token: str = "", library: Library | None = None) -> Iterator[str]:
     """A server in a thread; gives its address, and ends it in the end."""
     stop = Stop()
-    thread = threading.Thread(target=serve, args=(feed, FakeLibrary(), HERE, port, token, stop))
+    shown = library or FakeLibrary()
+    thread = threading.Thread(target=serve, args=(feed, shown, HERE, port, token, stop))
     thread.start()
     try:
         with _reached(port):

@@ -33,13 +33,14 @@ def random_finds(n: int, reach: int = 3, seed: int = 0) -> Found:
 
 @dataclass
 class HandMadeRecords:
-    """A single run called `run`, of whose finds each page has a few; counts what it was asked."""
+    """A single run, of whose finds each page has a few; counts what it was asked."""
 
     a_scene: Scene
     found: Found = field(default_factory=lambda: finds([], np.zeros((0, 3)), []))
     rows: int = 0
     on_a_page: int = 4
     asked: int = 0
+    run: str = "run"
 
     def record(self, found: Found) -> None:
         """Have found these too."""
@@ -47,8 +48,8 @@ class HandMadeRecords:
         self.rows = int(self.found["number"][-1]) + 1
 
     def scene(self, job: str, run: str) -> Scene:
-        if run != "run":
-            raise UnknownName("run", run, ["run"])
+        if run != self.run:
+            raise UnknownName("run", run, [self.run])
         return self.a_scene
 
     def page(self, job: str, run: str, first: int) -> Page:

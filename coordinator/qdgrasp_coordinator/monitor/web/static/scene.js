@@ -159,7 +159,7 @@ export class SceneView {
       if (page.n) this.voxels.update(page, this.stage.calm ? null : now);
       if (known < CUT_OPEN && this.voxels.size >= CUT_OPEN) this.voxels.cut = true;
       this.#from = page.next;
-      this.#tell();
+      if (page.n || now === null) this.#tell();
       if (!this.stage.touched && this.voxels.farthest > GROWN * this.#whole) this.home();
       if (page.next >= page.rows || !page.n) return;
     }

@@ -83,6 +83,8 @@ export class Stage {
   }
 
   look(target, radius, direction = new Vector3(-0.62, -1, 0.58)) {
+    this.controls.enableDamping = false; // what is left of a movement is over
+    this.controls.update();
     this.lens.look(target, direction, radius);
     this.controls.target.copy(target);
     this.controls.minZoom = this.lens.scale / 6;

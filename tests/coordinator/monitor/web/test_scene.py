@@ -1,0 +1,256 @@
+"""The view in 3D in a browser: on the page, and alone."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from tests import browser
+from tests.coordinator.monitor.web.conftest import free_port, serving
+from tests.coordinator.monitor.web.fakes import FakeFeed
+from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
+from tests.coordinator.scenes import made_scene
+
+from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
+from qdgrasp_protocol.outcome import Outcome
+
+pytestmark = browser.needed
+FEW = finds(
+    [3, 4, 8, 9],
+    [(0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3)],
+    [Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD, Outcome.HELD],
+)
+BARE = "static/scene.css"
+"""A page of the server's on which nothing goes on,"""
+FAVICON = "status of 404"
+"""and which names no icon, so that the browser looks for one in vain."""
+ALONE = """async () => {
+  const stage = document.createElement("div"), canvas = document.createElement("canvas");
+  document.body.replaceChildren(stage);
+  canvas.tabIndex = 0;
+  stage.append(canvas);
+  Object.assign(stage.style, { position: "relative", width: "600px", height: "500px" });
+  Object.assign(canvas.style, { position: "absolute", width: "600px", height: "500px" });
+  const { SceneView } = await import("/static/scene.js");
+  window.view = new SceneView(canvas, "/api", "mug", "mug");
+  view.onselect = (grasp) => (window.grasp = grasp);
+  view.onstatus = (words) => (window.words = words);
+  await view.start();
+}"""
+PLACE = """(number) => {
+  const { stage, voxels } = view, place = view.mark.position.clone();
+  place.fromArray(voxels.cell(voxels.slotOf(number))).multiplyScalar(0.01).project(stage.lens.camera);
+  const { left, top, width, height } = view.canvas.getBoundingClientRect();
+  return [left + (width * (1 + place.x)) / 2, top + (height * (1 - place.y)) / 2];
+}"""
+RESTS = """() => new Promise((done) => {
+  let drawn = -1, frames = 0;
+  const look = () => {
+    frames = view.stage.drawn === drawn ? frames + 1 : 0;
+    drawn = view.stage.drawn;
+    frames < 40 ? requestAnimationFrame(look) : done(drawn);
+  };
+  look();
+})"""
+CONTENT = """() => Object.fromEntries([...view.voxels.numbers.subarray(0, view.voxels.size)].map(
+  (number, slot) => [number, [...view.voxels.cell(slot), view.voxels.kind(slot)]]))"""
+Page = Any
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser.launched() as launched:
+        yield launched
+
+
+@pytest.fixture
+def records() -> HandMadeRecords:
+    made = HandMadeRecords(made_scene(), run="mug")
+    made.record(FEW)
+    return made
+
+
+@pytest.fixture
+def place(records: HandMadeRecords) -> Iterator[str]:
+    feed = FakeFeed()
+    feed.step()
+    with serving(feed, free_port(), library=Exhibits(records)) as address:
+        yield f"{address}/#job=mug"
+
+
+@pytest.fixture
+def page(chromium: Any, place: str) -> Iterator[Page]:
+    yield from visited(chromium, place)
+
+
+@pytest.fixture
+def alone(chromium: Any, place: str) -> Iterator[Page]:
+    """The view without the page around it: `view`, `grasp` and `words` are what a script finds."""
+    for visit in visited(chromium, place.replace("#job=mug", BARE)):
+        visit.evaluate(ALONE)
+        yield visit
+
+
+def visited(chromium: Any, place: str, **looks: Any) -> Iterator[Page]:
+    visit = browser.Visit(chromium, place, **looks)
+    yield visit.page
+    visit.context.close()
+    assert [words for words in visit.complaints if not (BARE in place and FAVICON in words)] == []
+
+
+def expect(what: Any) -> Any:
+    from playwright.sync_api import expect as expected
+
+    return expected(what)
+
+
+def test_all_cells_are_there_and_counted_by_kind(page: Page) -> None:
+    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
+    assert page.locator("#scene-key li b").all_inner_texts() == ["1", "1", "2"]
+
+
+def test_what_is_found_while_one_looks_appears(page: Page, records: HandMadeRecords) -> None:
+    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
+    records.record(finds([12, 13], [(0, 0, 9), (0, -9, 3)], [Outcome.HELD] * 2))  # one is in a known cell
+    expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+    assert page.locator("#scene-key li b").all_inner_texts() == ["0", "1", "4"]
+
+
+def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
+    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
+    page.locator("#scene").focus()
+    for key, number in {"n": 8, "N": 8, "p": 3}.items():
+        page.keyboard.press(key.lower() if key != "N" else "Escape")
+        if key == "N":
+            expect(page.locator("#grasp")).to_be_hidden()
+            page.keyboard.press("n")
+        expect(page.locator("#grasp h4")).to_have_text(f"Grasp {number}")
+    expect(page.locator("#grasp code")).to_have_text("qdgrasp show runs/mug --grasp 3")
+    expect(page.locator("#grasp")).to_contain_text("no shake survived")
+
+
+def test_kinds_may_be_left_out(page: Page) -> None:
+    expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
+    page.get_by_role("button", name="both survived").click()
+    expect(page.locator("#scene-words")).to_have_text("2 of 4 cells of 1 cm")
+    page.get_by_role("button", name="Next grasp").click()
+    expect(page.locator("#grasp h4")).to_have_text("Grasp 4")
+
+
+def test_without_3d_the_page_says_so_and_goes_on(chromium: Any, place: str) -> None:
+    context = chromium.new_context()
+    context.add_init_script("HTMLCanvasElement.prototype.getContext = new Proxy("
+        "HTMLCanvasElement.prototype.getContext, { apply: (get, canvas, [kind, ...rest]) => "
+        "kind.startsWith('webgl') ? null : Reflect.apply(get, canvas, [kind, ...rest]) })")  # fmt: skip
+    page = context.new_page()
+    page.goto(place)
+    expect(page.locator("#scene-empty")).to_contain_text("The view in 3D cannot be drawn here: no WebGL 2")
+    expect(page.locator("#workers tbody tr").first).to_be_visible()
+    context.close()
+
+
+@pytest.mark.parametrize("number", [4, 9])
+def test_a_click_on_a_voxel_chooses_its_grasp(alone: Page, number: int) -> None:
+    alone.mouse.click(*alone.evaluate(PLACE, number))
+    alone.wait_for_function("() => window.grasp")
+    assert alone.evaluate("grasp.number") == number
+    assert alone.evaluate("[view.hand.visible, view.mark.visible]") == [True, True]
+
+
+def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
+    alone.evaluate("view.select(8)")
+    alone.wait_for_function("() => window.grasp && view.hand.visible")
+    alone.mouse.click(20, 20)
+    alone.wait_for_function("() => window.grasp === null")
+    assert alone.evaluate("[view.hand.visible, view.mark.visible]") == [False, False]
+
+
+def test_the_hand_stands_where_the_server_says(alone: Page, records: HandMadeRecords) -> None:
+    alone.evaluate("view.select(8)")
+    alone.wait_for_function("() => window.grasp && view.hand.visible")
+    told = alone.evaluate("grasp.links")
+    stands = alone.evaluate(
+        "() => { view.stage.things.updateMatrixWorld(); return view.hand.children.map("
+        "(link) => link.matrixWorld.clone().transpose().toArray()) }"
+    )
+    assert np.allclose(stands, list(told.values()), atol=1e-9)
+
+
+def test_pages_that_come_by_and_by_leave_what_one_would(alone: Page, records: HandMadeRecords) -> None:
+    more = random_finds(300)
+    more["number"] += 20
+    for start in range(0, 300, 100):
+        records.record(more[start : start + 100])
+        alone.wait_for_function("(upto) => Math.max(...view.voxels.numbers) >= upto - 40", arg=records.rows)
+    alone.wait_for_function("(words) => window.words === words", arg=_words(records))
+    by_and_by = alone.evaluate(CONTENT)
+    alone.evaluate("view.stop()")
+    alone.evaluate(ALONE)
+    assert alone.evaluate(CONTENT) == by_and_by
+
+
+def test_a_journal_that_fell_back_is_shown_anew(alone: Page, records: HandMadeRecords) -> None:
+    records.found, records.rows = FEW[:0], 0
+    records.record(finds([2], [(0, 0, 9)], [Outcome.SHAKEN]))
+    alone.wait_for_function("() => window.words === '1 cells of 1 cm'")
+    assert alone.evaluate(CONTENT) == {"2": [0, 0, 9, 1]}
+
+
+def test_nothing_is_drawn_while_nothing_changes(alone: Page) -> None:
+    drawn = alone.evaluate(RESTS)
+    assert drawn > 0
+    alone.evaluate("view.cut = true")
+    assert alone.evaluate(RESTS) > drawn
+
+
+def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
+    alone.evaluate("window.card = view.stage.renderer.getContext().getExtension('WEBGL_lose_context')")
+    alone.evaluate("card.loseContext()")
+    alone.wait_for_function("() => window.words.startsWith('The graphics were lost')")
+    drawn = alone.evaluate("view.stage.drawn")
+    alone.evaluate("card.restoreContext()")
+    alone.wait_for_function("(drawn) => view.stage.drawn > drawn", arg=drawn)
+    alone.mouse.click(*alone.evaluate(PLACE, 9))
+    alone.wait_for_function("() => window.grasp")
+    assert alone.evaluate("grasp.number") == 9
+
+
+def test_a_view_that_was_stopped_holds_nothing(alone: Page, records: HandMadeRecords) -> None:
+    alone.evaluate("view.select(8)")
+    alone.wait_for_function("() => window.grasp && view.hand.visible")
+    alone.evaluate(RESTS)
+    assert alone.evaluate("view.stage.renderer.info.memory.geometries") > 0
+    alone.evaluate("view.stop()")
+    assert alone.evaluate("view.stage.renderer.info.memory.geometries") == 0
+    assert alone.evaluate("document.querySelectorAll('.scene-axes').length") == 0
+
+
+def test_where_motion_is_unwelcome_new_cells_do_not_flash(chromium: Any, place: str, records) -> None:
+    for page in visited(chromium, place.replace("#job=mug", BARE), reduced_motion="reduce"):
+        page.evaluate(ALONE)
+        records.record(finds([12], [(0, 0, 9)], [Outcome.HELD]))
+        page.wait_for_function("() => window.words === '5 cells of 1 cm'")
+        assert not page.evaluate("view.voxels.glows(performance.now() / 1000)")
+
+
+def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> None:
+    state = (
+        "[...view.stage.lens.camera.position.toArray(), view.stage.lens.scale, "
+        "...view.stage.controls.target.toArray()]"
+    )
+    first = alone.evaluate(state)
+    alone.locator("canvas").focus()
+    for key, changed in {"ArrowLeft": 0, "ArrowUp": 2, "+": 3, "Shift+ArrowRight": 4}.items():
+        before = alone.evaluate(state)
+        alone.keyboard.press(key)
+        alone.wait_for_function(
+            f"([before, k]) => Math.abs({state}[k] - before[k]) > 1e-3", arg=[before, changed]
+        )
+    alone.keyboard.press("Home")
+    alone.evaluate(RESTS)
+    assert np.allclose(alone.evaluate(state), first)
+
+
+def _words(records: HandMadeRecords) -> str:
+    """What the view says when it has them all."""
+    return f"{len(np.unique(records.found['descriptor'], axis=0))} cells of 1 cm"
