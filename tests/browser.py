@@ -29,8 +29,9 @@ needed = pytest.mark.skipif(bool(missing()), reason=missing())
 @contextmanager
 def launched() -> Iterator[Any]:
     """The browser; it is closed in the end."""
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import expect, sync_playwright
 
+    expect.set_options(timeout=PATIENCE)
     program = next(filter(Path.exists, PLACES))
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=str(program), args=FLAGS)

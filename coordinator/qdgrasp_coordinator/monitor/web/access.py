@@ -5,6 +5,7 @@ import secrets
 from collections.abc import Iterable
 from dataclasses import dataclass
 from ipaddress import ip_address
+from socket import gethostname
 from urllib.parse import quote, urlsplit
 
 from starlette.datastructures import MutableHeaders
@@ -20,6 +21,7 @@ SHORTEST = 16
 READING = ("GET", "HEAD")
 OPEN = ("/static/style.css",)
 """What the page that asks for the token is drawn with."""
+EVERYWHERE = ("", "::", "0.0.0.0")  # noqa: S104 - it is only compared with
 SAFE = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'",
@@ -72,7 +74,7 @@ class Access:
 
     def address(self, host: str, port: int) -> str:
         """Where a browser opens the page, with the token where one is needed."""
-        named = host if ":" not in host else f"[{host}]"
+        named = gethostname() if host in EVERYWHERE else f"[{host}]" if ":" in host else host
         return f"http://{named}:{port}/" + (f"?token={quote(self.token)}" if self.token else "")
 
     def refusal(self, request: Request) -> Response | None:

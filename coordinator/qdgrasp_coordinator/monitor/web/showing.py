@@ -29,6 +29,14 @@ URGENCY = ("stuck", "gone", "leaving", "working", "idle")
 class Watched(Protocol):
     """Whatever knows jobs."""
 
+    @property
+    def is_linked(self) -> bool:
+        """False while there is no way to the router."""
+
+    @property
+    def strangers(self) -> list[str]:
+        """Jobs that are there and cannot be shown: they speak as another version of qdgrasp does."""
+
     def views(self) -> list[JobView]:
         """The jobs as they are now."""
 
@@ -93,6 +101,10 @@ class State(Struct, frozen=True, kw_only=True):
 
     at: float
     """When, in seconds since 1970."""
+    linked: bool
+    """Whether there is a way to the router."""
+    strangers: list[str]
+    """Jobs that are there and speak as another version of qdgrasp does."""
     jobs: list[JobState]
 
 
@@ -117,7 +129,8 @@ class Showing:
     def state(self) -> bytes:
         """All jobs as they are now (`State`), as JSON in one line."""
         jobs = [JobState.of(view) for view in self.views()]
-        return msgspec.json.encode(State(at=time.time(), jobs=jobs))
+        linked, strangers = self._watched.is_linked, self._watched.strangers
+        return msgspec.json.encode(State(at=time.time(), linked=linked, strangers=strangers, jobs=jobs))
 
     def curves(self, job: str) -> bytes:
         """How a job and its runs came to be so (`Curves`), as JSON.

@@ -34,6 +34,14 @@ class FakeFeed:
         self.gone: set[int] = set()
         self.lock = threading.Lock()
 
+    @property
+    def is_linked(self) -> bool:
+        return self.jobs.is_linked
+
+    @property
+    def strangers(self) -> list[str]:
+        return self.jobs.strangers
+
     def views(self) -> list[JobView]:
         with self.lock:
             return self.jobs.views(time.time())

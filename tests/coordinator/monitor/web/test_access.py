@@ -1,3 +1,5 @@
+from socket import gethostname
+
 import pytest
 from tests.coordinator.monitor.web.conftest import client
 from tests.coordinator.monitor.web.fakes import FakeFeed
@@ -98,6 +100,7 @@ def test_a_short_token_is_refused_and_not_repeated() -> None:
 def test_the_address_says_where_the_page_is() -> None:
     assert Access.at("127.0.0.1").address("127.0.0.1", 8080) == "http://127.0.0.1:8080/"
     assert Access.at("::1").address("::1", 8080) == "http://[::1]:8080/"
+    assert gethostname() in Access.at("::").address("::", 80)
     assert LOCKED.address("head", 80) == "http://head:80/?token=a-token-of-some-length"
 
 

@@ -1,6 +1,7 @@
 """The page in a browser: what a person sees of jobs made by hand."""
 
 import re
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -178,6 +179,16 @@ def test_a_job_that_is_not_heard_of_is_waited_for(look: Look) -> None:
         )
         feed.step()
         expect(page.locator("#name")).to_have_text("mug", timeout=PATIENCE)
+
+
+def test_it_says_when_the_monitor_does_not_reach_its_router(look: Look) -> None:
+    feed = FakeFeed()
+    feed.step()
+    with serving(feed, free_port()) as place:
+        page = look(f"{place}/#job=mug")
+        expect(page.locator("#link")).to_have_text("live")
+        feed.jobs.linked(False, time.time())
+        expect(page.locator("#link")).to_have_text("the monitor does not reach its router")
 
 
 def test_workers_are_sorted_by_the_column_that_was_chosen(look: Look, place: str) -> None:

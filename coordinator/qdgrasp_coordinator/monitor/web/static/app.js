@@ -35,6 +35,7 @@ function show() {
   const job = told && { ...told, runs: entries.of(told) };
   const run = job?.runs.find((each) => each.run === choice.run) ?? null;
   list.show(state.jobs, job?.job);
+  say(find("strangers"), state.strangers.length ? `Of another version, and not shown: ${state.strangers.join(", ")}` : "");
   find("empty").hidden = Boolean(job);
   find("chosen").hidden = !job;
   say(find("empty").querySelector("h2"), choice.job ? `Nothing is heard of the job ${choice.job}` : "No job yet");
@@ -51,4 +52,4 @@ find("skip").addEventListener("click", (event) => {
   event.preventDefault(); // the address says what is chosen
   find("main").focus();
 });
-new Stream(`${API}/stream`, heard, (lost) => link.show(lost));
+new Stream(`${API}/stream`, heard, (lost) => link.show(lost, state?.linked));

@@ -1,4 +1,4 @@
-// The link: whether the monitor is heard, and if not, since when.
+// The link: whether the monitor is heard, and hears the jobs; and if not, since when.
 
 import { put, say } from "./element.js";
 import { time } from "./words.js";
@@ -8,9 +8,11 @@ export class Link {
     this.root = root;
   }
 
-  show(lost) {
-    put(this.root, "data-state", lost ? "lost" : "live");
-    put(document.documentElement, "data-link", lost ? "lost" : "live");
-    say(this.root, lost ? `not connected since ${time(lost)}` : "live");
+  /** `lost`: since when the monitor is not heard, or null; `linked`: whether it hears its router. */
+  show(lost, linked = true) {
+    const state = lost ? "lost" : linked ? "live" : "cut";
+    put(this.root, "data-state", state);
+    put(document.documentElement, "data-link", state);
+    say(this.root, lost ? `not connected since ${time(lost)}` : linked ? "live" : "the monitor does not reach its router");
   }
 }

@@ -40,8 +40,8 @@ export class Stream {
     this.#timer = setTimeout(() => this.#again(), SILENCE);
     this.#pause = FIRST;
     this.lost = null;
-    this.onlink(null);
     this.onstate(state);
+    this.onlink(null);
   }
 
   #again() {
