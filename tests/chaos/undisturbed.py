@@ -52,9 +52,15 @@ def _carried_out(spec: RunSpec, home: Path) -> str:
 
 
 def _key(spec: RunSpec) -> str:
-    """A name for a spec and the source that carries it out."""
+    """A name for a spec and the packages that carry it out, with the hands and objects in them."""
     key = hashlib.sha256(to_toml(spec).encode())
-    for room in ROOMS:
-        for source in sorted((ROOT / room).rglob("*.py")):
-            key.update(source.read_bytes())
+    for file in package_files(ROOT):
+        content = hashlib.sha256(file.read_bytes()).hexdigest()
+        key.update(f"{file.relative_to(ROOT)} {content}\n".encode())
     return key.hexdigest()[:16]
+
+
+def package_files(root: Path) -> list[Path]:
+    """All files of the packages: source, URDF, TOML, meshes, and whatever else; none that Python wrote."""
+    found = [file for room in ROOMS for file in (root / room).rglob("*") if file.is_file()]
+    return sorted(file for file in found if "__pycache__" not in file.parts)
