@@ -35,6 +35,8 @@ class Member:
     """The scenes it holds, the latest last."""
     gone_at: float | None = None
     """When its token vanished; None: it is there."""
+    is_expected: bool = False
+    """Its token is not there yet: it is not gone, but late."""
     is_stuck: bool = False
     """It let a lease pass; until it shows progress it gets no work, unless all are stuck."""
     is_drained: bool = False
@@ -53,7 +55,7 @@ class Member:
     @property
     def state(self) -> str:
         """How it is, in a word."""
-        if self.gone_at is not None:
+        if self.gone_at is not None and not self.is_expected:
             return "gone"
         if self.is_drained:
             return "leaving"

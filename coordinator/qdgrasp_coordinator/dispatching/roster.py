@@ -99,11 +99,13 @@ class Roster:
     def expect(self, wid: str, now: float) -> None:
         """Wait for the token of a worker that has just joined: it is late, or the worker is gone."""
         self.gone(wid, now + LATE - GRACE)
+        if (member := self._members.get(wid)) is not None:
+            member.is_expected = True
 
     def back(self, wid: str) -> None:
         """Hear that a worker's token is there."""
         if (member := self._members.get(wid)) is not None:
-            member.gone_at = None
+            member.gone_at, member.is_expected = None, False
             self._note(member)
 
     def link(self, is_up: bool, now: float) -> None:

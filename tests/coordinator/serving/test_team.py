@@ -90,6 +90,14 @@ def test_a_killed_worker_is_gone_at_once_and_stays_on_the_list_for_a_minute(offi
     assert office.states(6.2 + SHOWN_GONE) == ["idle"]
 
 
+def test_a_worker_whose_token_is_late_is_not_shown_as_gone(office: Office) -> None:
+    office.turn.take(JoinRequest(join(ANN)), 0.0)
+    assert office.states(1.0) == ["idle"]
+    office.turn.take(TokenChange(KEYS.worker_token(ANN), True), 2.0)
+    office.dies(ANN, 3.0)
+    assert office.states(3.0) == ["gone"]
+
+
 def test_a_worker_that_said_it_leaves_has_left(office: Office) -> None:
     office.joins(join(ANN), 0.0)
     office.joins(join(ANN, number=2, credit=0), 1.0)
