@@ -6,6 +6,7 @@ a unit stands before that. What comes from elsewhere is a label's value, never a
 written where its figure is defined (`counts`).
 """
 
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -127,10 +128,13 @@ class Metrics:
     def __init__(self) -> None:
         counts = [one.field for one in RUN.shown if one.family is CounterMetricFamily]
         self._ratchet = Ratchet(["outcomes", *counts])
+        self._turn = threading.Lock()
 
     def text(self, views: Sequence[JobView]) -> tuple[bytes, str]:
-        """What is known of jobs, in the text format of Prometheus, and the content type of that."""
-        return generate_latest(Overview(self._ratchet.raised(views))), CONTENT_TYPE_PLAIN_0_0_4
+        """What is known of jobs, in the text format of Prometheus, and its content type; safe in any thread."""
+        with self._turn:
+            raised = self._ratchet.raised(views)
+        return generate_latest(Overview(raised)), CONTENT_TYPE_PLAIN_0_0_4
 
 
 class Overview(Collector):
@@ -176,7 +180,13 @@ class Overview(Collector):
         words = "Whether something keeps the job from going on."
         yield self._gauge("job_trouble", words, lambda view: bool(view.figures.obstacle))
         states = [((view.job, state), float(view.state == state)) for view in self._views for state in STATES]
-        yield metric(GaugeMetricFamily, "job_state", "How the job is: 1 for the state that holds.", ("job", "state"), states)
+        yield metric(
+            GaugeMetricFamily,
+            "job_state",
+            "How the job is: 1 for the state that holds.",
+            ("job", "state"),
+            states,
+        )
         runs = [((view.job, how), float(n)) for view in self._views for how, n in _runs(view.figures)]
         yield metric(GaugeMetricFamily, "job_runs", "The job's runs by state.", ("job", "state"), runs)
         events = [((view.job,), float(view.events[-1].number if view.events else 0)) for view in self._views]
