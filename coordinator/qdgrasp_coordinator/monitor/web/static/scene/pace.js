@@ -11,8 +11,9 @@ const LEVELS = [
   { scale: 0.4, plain: true, share: 0.25 },
 ];
 const SLOW = 40; // ms: a frame that takes longer is drawn more coarsely next time
+const AWFUL = 120; // ms: that, and it is drawn much more coarsely
 const QUICK = 12; // ms: below it, more finely
-const SETTLED = 4; // frames at one level before it is judged
+const SETTLED = 3; // frames at one level before it is judged
 const STALLED = 1000; // ms: a frame so late was held up by something else
 
 export class Pace {
@@ -34,14 +35,14 @@ export class Pace {
     this.#mean = this.#frames ? 0.6 * this.#mean + 0.4 * ms : ms;
     this.#frames += 1;
     if (this.#frames < SETTLED) return false;
-    if (this.#mean > SLOW) return this.#go(this.#level + 1);
+    if (this.#mean > SLOW) return this.#go(Math.min(this.#level + (this.#mean > AWFUL ? 2 : 1), LEVELS.length - 1));
     return this.#mean < QUICK && this.#go(this.#level - 1);
   }
 
   #go(level) {
-    if (!(level in LEVELS)) return false;
-    this.#level = level;
+    const changed = level in LEVELS && level !== this.#level;
+    if (changed) this.#level = level;
     this.#frames = 0;
-    return true;
+    return changed;
   }
 }
