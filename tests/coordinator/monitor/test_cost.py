@@ -1,6 +1,7 @@
 """What monitors cost a coordinator: what it sends and keeps does not depend on how many there are."""
 
 import gc
+import time
 import tracemalloc
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -44,6 +45,7 @@ class Coordinator:
 
     def __init__(self, network: LocalNetwork) -> None:
         self.bus = Counted(network)
+        self.now = 1.0 + int(time.monotonic())  # its runs were opened before that
         programme = Runs(dict(PLANS))
         lanes = Lanes(programme, lambda run: Memory(SHAPE), lambda _news: None, Stop())
         for _ in range(3):
@@ -59,22 +61,24 @@ class Coordinator:
 
     def _join(self, wid: str) -> None:
         join = Join(versions=[1], wid=wid, number=1, credit=2, held=[], host="h", pid=1, platform={"a": "1"})
-        self.turn.take(JoinRequest(join, Future()), 0.0)
+        self.turn.take(JoinRequest(join, Future()), self.now)
 
     @contextmanager
     def open(self) -> Iterator[None]:
         keys = Keys(JOB)
         with ExitStack() as stack:
             for shown in (keys.stat(), keys.meta, keys.recent):
-                stack.enter_context(self.bus.show(shown, lambda query: self.board.values(query.key, 0.0)))
+                stack.enter_context(
+                    self.bus.show(shown, lambda query: self.board.values(query.key, self.now))
+                )
             stack.enter_context(self.bus.token(keys.coordinator_token(1)))
             yield
 
     def show(self) -> None:
         """Show for twenty seconds how far it is, and that things happen."""
-        for tenth in range(200):
-            self.board.publish_due(tenth / 10)
-            if tenth % 50 == 0:
+        for quarter in range(80):
+            self.board.publish_due(self.now + quarter / 4)
+            if quarter % 20 == 0:
                 self.board.chronicle.note("worker", "A worker has joined.")
 
 
