@@ -131,7 +131,7 @@ class Metrics:
         self._turn = threading.Lock()
 
     def text(self, views: Sequence[JobView]) -> tuple[bytes, str]:
-        """What is known of jobs, in the text format of Prometheus, and its content type; safe in any thread."""
+        """What is known of jobs, in the text format of Prometheus, and its content type; for any thread."""
         with self._turn:
             raised = self._ratchet.raised(views)
         return generate_latest(Overview(raised)), CONTENT_TYPE_PLAIN_0_0_4
