@@ -15,7 +15,7 @@ from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.spec import RunSpec
 
-ROWS = 1 << 17
+ROWS = 1 << 19
 """So many journal rows are counted for one answer."""
 
 
