@@ -5,7 +5,7 @@ import pytest
 from tests.benchmarks.scale.dispatching import BATCH, Prepared, spec
 from tests.benchmarks.scale.figures import Figure
 from tests.benchmarks.scale.prepared import SHAPE, VARIETY, Answers, rows
-from tests.benchmarks.scale.rig import JOB, Watch, assignment, coordinate, resident, router
+from tests.benchmarks.scale.rig import JOB, Several, Watch, assignment, coordinate, resident, router
 from tests.benchmarks.scale.searching import Watched
 from tests.benchmarks.scale.stand_ins import Crowd, crowds
 from tests.benchmarks.scale.turns import Timed, compared, take_turns
@@ -77,6 +77,15 @@ def test_pyribs_share_of_a_search_is_a_part_of_it() -> None:
         search.tell(generation, told)
     assert search.rows == 3 * 500
     assert 0 < search.ribs.seconds < search.whole.seconds
+
+
+def test_a_run_that_is_put_back_is_the_next_one() -> None:
+    asked = spec("contact_rand", 20)
+    built = [assignment(name, asked, method(asked.method).build(asked, plain(SHAPE.genes))) for name in "ab"]
+    programme = Several(built)
+    assert programme.next() is built[0]
+    programme.put_back("a")
+    assert [programme.next() for _ in range(3)] == [*built, None]
 
 
 @pytest.mark.parametrize(

@@ -39,14 +39,18 @@ def assignment(run: str, spec: RunSpec, search: Search, in_flight: int = 1) -> A
 
 
 class Several:
-    """A programme of runs that are all there."""
+    """A programme of runs that are all there, and go on as they are where they are put back."""
 
     def __init__(self, runs: list[Assignment]) -> None:
         self.extent = Extent(len(runs), sum(run.evaluations for run in runs))
+        self._runs = {run.run: run for run in runs}
         self._left = list(runs)
 
     def next(self) -> Assignment | None:
         return self._left.pop(0) if self._left else None
+
+    def put_back(self, run: str) -> None:
+        self._left.insert(0, self._runs[run])
 
 
 @dataclass(frozen=True)
