@@ -120,6 +120,16 @@ def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str)
         assert all(number(words) > 0 for words in page.locator(f"#{plot}-legend dd").all_inner_texts())
 
 
+def test_of_many_runs_the_line_near_the_cursor_is_named(look: Look, place: str) -> None:
+    page = look(f"{place}/#job=hands")
+    legend = page.locator("#cells-legend dt")
+    expect(legend).to_have_text("Cells, most of 6 runs")
+    expect(page.locator("#cells canvas")).to_be_visible()
+    box = page.locator("#cells .u-over").bounding_box()
+    page.mouse.move(box["x"] + 0.9 * box["width"], box["y"] + 0.2 * box["height"])
+    expect(legend).to_have_text(re.compile("^Cells of panda-"))
+
+
 def test_the_view_in_3d_stands_there(look: Look, place: str) -> None:
     page = look(f"{place}/#job=mug")
     expect(page.locator("#scene-words")).to_have_text("Nothing found yet.", timeout=PATIENCE)

@@ -50,8 +50,8 @@ export class Curves {
     const runs = run ? [run] : job.runs.slice(-MOST_LINES);
     const courses = runs.map((one) => course(curves[one.run]?.points ?? [], one));
     const [done, cells, successes, robust] = run ? courses[0] : [];
-    this.cells.show(...(run ? [CELLS, [done, cells]] : beside(runs, courses, 1)));
-    this.successes.show(...(run ? [SUCCESSES, [done, successes, robust]] : beside(runs, courses, 2)));
+    this.cells.show(...(run ? [CELLS, [done, cells]] : beside("Cells", runs, courses, 1)));
+    this.successes.show(...(run ? [SUCCESSES, [done, successes, robust]] : beside("Successes", runs, courses, 2)));
   }
 
   #speed(job, run, { history, histories }, now) {
@@ -74,7 +74,7 @@ function course(points, { evaluations, successes, cells, robust }) {
 }
 
 /** One column of several courses, each as a line that is named when a cursor is near. */
-function beside(runs, courses, column) {
-  const series = runs.map(({ run }) => ({ name: run, colour: "accent", width: 1, isOneOfMany: true }));
+function beside(what, runs, courses, column) {
+  const series = runs.map(({ run }) => ({ name: `${what} of ${run}`, colour: "accent", width: 1, many: what }));
   return [series, courses.length ? uPlot.join(courses.map((each) => [each[0], each[column]])) : [[]]];
 }

@@ -12,6 +12,7 @@ export class Grasps {
   constructor(find, api) {
     this.api = api;
     this.canvas = find("scene");
+    this.run = find("scene-run");
     this.words = find("scene-words");
     this.veil = find("scene-empty");
     this.card = new Card(find("grasp"), () => this.#close());
@@ -21,6 +22,7 @@ export class Grasps {
   /** Shows the chosen run, or of several the one that goes on. */
   show(job, run) {
     const one = run ?? job.runs.find(({ finished }) => !finished) ?? job.runs.at(-1);
+    say(this.run, one && job.figures.runs > 1 ? one.run : "");
     const shown = one ? `${job.job}/${one.run}` : "";
     if (shown === this.#shown) return;
     this.#shown = shown;

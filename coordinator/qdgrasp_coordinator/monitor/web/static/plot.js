@@ -9,7 +9,10 @@ export class Plot {
   #shape = "";
   #near = null; // the number of the line near the cursor
 
-  /** `across` and `up` say how numbers along the axes read; `timed`: across is a time in seconds since 1970; `whole`: up are whole numbers. */
+  /**
+   * `across` and `up` say how numbers along the axes read; `timed`: across is a time in seconds since 1970;
+   * `whole`: up are whole numbers.
+   */
   constructor(root, legend, { timed = false, across = short, up = short, whole = true } = {}) {
     Object.assign(this, { root, legend, timed, across, up, whole });
     this.series = [];
@@ -17,7 +20,10 @@ export class Plot {
     document.addEventListener("themechange", () => this.#draw());
   }
 
-  /** `series`: [{ name, colour, width?, dash?, fill?, isOneOfMany? }], as many as columns in `data` but the first. */
+  /**
+   * `series`: [{ name, colour, width?, dash?, fill?, many? }], as many as columns in `data` but the first; where
+   * there are `many` of one kind, the legend tells of the one near the cursor.
+   */
   show(series, data) {
     this.#data = data;
     const shape = JSON.stringify(series);
@@ -104,9 +110,10 @@ export class Plot {
   #entries(place) {
     const values = this.#data.slice(1).map((column) => last(column, place));
     const entries = this.series.map((one, number) => ({ ...one, value: values[number] }));
-    if (!this.series[0]?.isOneOfMany) return entries;
+    const many = this.series[0]?.many;
+    if (!many) return entries;
     const near = entries[this.#near - 1];
-    return [near ?? { name: `most of ${entries.length} runs`, colour: "accent", value: Math.max(...values.map((value) => value ?? 0)) }];
+    return [near ?? { name: `${many}, most of ${entries.length} runs`, colour: "accent", value: Math.max(...values.map((value) => value ?? 0)) }];
   }
 }
 

@@ -2,7 +2,7 @@
 
 const THIN = "\u202f";
 const counts = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
-const clock = new Intl.DateTimeFormat([], { hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false });
+const clock = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false });
 
 export function count(number) {
   return counts.format(number).replaceAll(",", THIN);
