@@ -4,7 +4,7 @@ from tests.simulation.searching import Violated
 
 INVARIANTS = {
     "no machine fails": "no state machine raises what its callers do not expect",
-    "no machine spins": "nobody looks up again and again with nothing to do",
+    "no machine spins": "nobody looks up again and again with nothing heard and nothing to do",
     "settled once": "every batch is settled at most once, by a worker that was leased it, with its true rows",
     "nothing is lost": "every row that was asked and is not settled waits or is leased, in one place",
     "told in order": "the search is asked and told generation by generation, index by index, L in flight",

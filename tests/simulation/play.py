@@ -19,8 +19,6 @@ from qdgrasp_coordinator.dispatching import tickets
 from qdgrasp_coordinator.recording import intake
 from qdgrasp_coordinator.serving import outbox, record
 
-LIMIT = 4000.0
-"""Simulated seconds that a history takes at most."""
 SMALL = [(outbox, "SLICE", 4), (outbox, "BOUND", 8), (record, "PAGE", 7), (tickets, "REMEMBERED", 30)]
 SMALL += [(intake, "GROUP_ROWS", 6), (intake, "CAPACITY", 150)]
 """Bounds that small histories reach."""

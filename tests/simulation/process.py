@@ -27,8 +27,8 @@ class Busy:
     seconds: float
 
 
-MOST_TURNS = 2000
-"""So often within 0.1 s nobody has reason to look up."""
+SHORT, MOST_SHORT = 1e-3, 20
+"""Seconds within which nobody looks up again with nothing heard, and how often in a row it may."""
 Life = Generator[Listen | Busy, None, None]
 
 
@@ -50,8 +50,7 @@ class Process:
         self._waits = 0  # what it waits for has a number: an older one wakes nobody
         self._is_listening = False
         self._owed: int | None = None
-        self._turns = 0
-        self._rested = 0.0
+        self._idle = 0
         world.later(0.0, lambda: self._go(0))
 
     @property
@@ -152,7 +151,6 @@ class Process:
         self._waits += 1
         self._is_listening = False
         self.world.touched.append(self)
-        self._check_rest()
         try:
             request = next(self._life)
         except StopIteration:
@@ -160,13 +158,11 @@ class Process:
             return
         self._wait_for(request)
 
-    def _check_rest(self) -> None:
-        """Check that it does not spin."""
-        self._turns += 1
-        if self.world.now > self._rested + 0.1:
-            self._turns, self._rested = 0, self.world.now
-        if self._turns > MOST_TURNS:
-            raise Violated("no machine spins", f"{self.name} goes on and on")
+    def _check_rest(self, seconds: float) -> None:
+        """Check that it does not spin, where it has heard all and waits for so many seconds."""
+        self._idle = 0 if self.inbox or seconds > SHORT else self._idle + 1
+        if self._idle > MOST_SHORT:
+            raise Violated("no machine spins", f"{self.name} has nothing to do, and waits for nothing")
 
     def _wait_for(self, request: Listen | Busy) -> None:
         wait = self._waits
@@ -174,6 +170,7 @@ class Process:
             case Busy(seconds):
                 self.world.later(self.clock.span(seconds), lambda: self._go(wait))
             case Listen(seconds):
+                self._check_rest(seconds)
                 if self.inbox:
                     self.world.later(0.0, lambda: self._go(wait))
                     return

@@ -48,7 +48,7 @@ def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_
 
 
 def test_a_worker_whose_question_an_older_coordinator_answers_asks_again() -> None:
-    """The one that it serves knows of the join before that only, and its leases would be passed over for ever."""
+    """The one that it serves knows of the join before only; what it leases would be passed over for ever."""
     appointment = Appointment("job")
     appointment.meet(8, True, 0.0)
     appointment.ask(2)
