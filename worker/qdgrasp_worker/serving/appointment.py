@@ -106,7 +106,7 @@ class Appointment:
     def answered(self, answer: Joined, now: float, jitter: float) -> bool:
         """Take the answer to a join; False when it comes from an older coordinator than the one known.
 
-        The one that is known has not heard of this join then, and what it leases would not be taken: it is asked
+        The one that is known has not heard of this join then, and what it leases would not be taken: ask it
         again, after a time that doubles, times the jitter.
         """
         self.is_asking = False
