@@ -10,6 +10,9 @@ from msgspec import Meta, Struct
 from qdgrasp_coordinator.counts.entry import RunEntry
 from qdgrasp_protocol.errors import MessageError
 
+MOST = 2**63
+"""The most that any number in what is shown may be."""
+FOREVER = 1e10  # seconds that nobody waits for
 PATIENCE = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
 
 
@@ -167,7 +170,7 @@ class JobMeta(Struct, frozen=True, kw_only=True):
 
 def _left(evaluations: int, rate: float) -> str:
     """The time that so many evaluations take at so many per second, in words."""
-    if rate <= 0:
+    if rate <= 0 or max(0, evaluations) / rate > FOREVER:
         return "time left unknown"
     seconds = round(max(0, evaluations) / rate)
     hours, seconds = divmod(seconds, 3600)
@@ -188,9 +191,26 @@ def from_json(payload: bytes, kind: type[Kind]) -> Kind:
     Raises
     ------
     MessageError
-        The payload is not such JSON.
+        The payload is not such JSON, or holds a number that is no count.
     """
     try:
-        return msgspec.json.decode(payload, type=kind)
+        shown = msgspec.json.decode(payload, type=kind)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # ValueError: text that is not UTF-8
         raise MessageError(f"not figures: {error}") from None
+    if not _counts(shown):
+        raise MessageError("not figures: a number is negative, or beyond all bounds")
+    return shown
+
+
+def _counts(value: object) -> bool:
+    """Whether all numbers in what is shown are between 0 and `MOST`."""
+    match value:
+        case int() | float():
+            return 0 <= value <= MOST
+        case Struct():
+            return all(_counts(getattr(value, name)) for name in value.__struct_fields__)
+        case list():
+            return all(map(_counts, value))
+        case dict():
+            return all(map(_counts, value.values()))
+    return True

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
+from rich.cells import cell_len
 from rich.text import Text
 
 from qdgrasp_coordinator.monitor.jobs import JobView
@@ -70,9 +71,10 @@ def sheet(shown: Shown, width: int, glyphs: Glyphs) -> Lines:
             f"workers: {worker_words(view, glyphs)}": worker_list(view, width, glyphs),
             "events": event_list(view.events, width, glyphs),
         }
-        lines += [_rule(f"{view.job}: {state(view)}", width, glyphs), progress(view, width, glyphs)]
-        lines += [*found(view, width, glyphs), *stages(view, width, glyphs)]
-        lines += curves(view, width, 8, glyphs)
+        title = f"{view.job}: {glyphs.text(state(view))}"
+        lines += [_rule(title, width, glyphs), progress(view, width, glyphs), *found(view, width, glyphs)]
+        lines += stages(view, width, glyphs)
+        lines += curves(view, width, 8, glyphs) if view.figures.evaluations else []
         for title, rows in lists.items():
             lines += [_rule(title, width, glyphs), *rows] if len(rows) > 1 else []
     return lines
@@ -205,8 +207,8 @@ def _titled(title: str, lines: Lines, width: int, room: int, glyphs: Glyphs) -> 
 
 
 def _rule(title: str, width: int, glyphs: Glyphs) -> Text:
-    words = fit(f"{glyphs.rule * 2} {title} ", min(width, len(title) + 4), glyphs)
-    return Text(words + glyphs.rule * (width - len(words)), style="bold")
+    words = fit(f"{glyphs.rule * 2} {title} ", min(width, cell_len(title) + 4), glyphs)
+    return Text(words + glyphs.rule * (width - cell_len(words)), style="bold")
 
 
 def _beside(left: Lines, right: Lines, width: int) -> Lines:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
 
 from rich.text import Text
@@ -32,7 +33,7 @@ def job_list(views: Sequence[JobView], chosen: int, width: int, rows: int, glyph
         Column("", lambda one: glyphs.chosen if one[0] == chosen else " ", 1),
         Column("", lambda one: str(one[0] + 1) if one[0] < 9 else "", 1, rank=1),
         Column("job", lambda one: glyphs.text(one[1].job), 14, align="left", grows=True),
-        Column("state", lambda one: state(one[1]), 12, align="left"),
+        Column("state", lambda one: glyphs.text(state(one[1])), 12, align="left"),
         Column("runs", lambda one: _runs(one[1]), 7, rank=5),
         Column("evaluations", lambda one: count(one[1].figures.evaluations), 11, rank=4),
         Column("done", lambda one: part(one[1].figures.evaluations, one[1].figures.budget), 5),
@@ -123,8 +124,14 @@ def window(total: int, rows: int, first: int) -> int:
 
 
 def _event(one: Event, width: int, glyphs: Glyphs) -> str:
-    at: datetime = one.at.astimezone()
-    return fit(f"{at:%H:%M:%S} {one.kind:8} {glyphs.text(one.words)}", width, glyphs).rstrip()
+    return fit(f"{_clock(one.at)} {one.kind:8} {glyphs.text(one.words)}", width, glyphs).rstrip()
+
+
+def _clock(at: datetime) -> str:
+    """What time it was for whoever sits here; a day that no calendar has is left as it came."""
+    with suppress(OverflowError):
+        at = at.astimezone()
+    return f"{at:%H:%M:%S}"
 
 
 def _runs(view: JobView) -> str:

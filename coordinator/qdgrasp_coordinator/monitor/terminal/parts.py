@@ -34,7 +34,7 @@ class Drawing(NamedTuple):
 def progress(view: JobView, width: int, glyphs: Glyphs) -> Text:
     """How far the job is, as a bar."""
     figures = view.figures
-    done = min(1.0, figures.evaluations / figures.budget) if figures.budget else 0.0
+    done = min(1.0, max(0.0, figures.evaluations / figures.budget)) if figures.budget else 0.0
     words = f" {part(done, 1.0)}  {figures.left if view.state not in ('gone', 'ended') else view.state}"
     room = max(4, width - len(words))
     full = int(done * room)
@@ -88,14 +88,15 @@ def _legend(shares: Sequence[tuple[str, int]], total: int, width: int, glyphs: G
 
 def ends(figures: JobFigures) -> dict[str, int]:
     """How many of a job's genomes got how far, from worst to best."""
-    return {
+    numbers = {
         "no pose": figures.dead_ends,
         "overlap": figures.overlaps,
-        "no contact": max(0, figures.simulated - figures.successes),
-        "dropped": max(0, figures.successes - figures.grasps),
-        "shaken": max(0, figures.grasps - figures.robust),
+        "no contact": figures.simulated - figures.successes,
+        "dropped": figures.successes - figures.grasps,
+        "shaken": figures.grasps - figures.robust,
         "held": figures.robust,
     }
+    return {name: max(0, number) for name, number in numbers.items()}
 
 
 def parted(numbers: Sequence[int], width: int) -> list[int]:

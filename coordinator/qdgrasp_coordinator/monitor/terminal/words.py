@@ -1,5 +1,6 @@
 """Figures in a few characters."""
 
+LONGEST = 99_999 * 86_400.0  # seconds; nobody waits for longer
 SIZES = ("", "k", "M", "G", "T")
 UNITS = ("B", "kB", "MB", "GB", "TB")
 
@@ -27,7 +28,7 @@ def part(some: float, total: float) -> str:
 
 def span(seconds: float) -> str:
     """A time in at most seven characters: 4 s, 12:05, 3:12 h, 2.5 d."""
-    whole = max(0, round(seconds))
+    whole = max(0, round(min(seconds, LONGEST)))
     if whole < 60:
         return f"{whole} s"
     if whole < 3600:

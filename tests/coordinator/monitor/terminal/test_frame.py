@@ -1,18 +1,28 @@
 """What stands on a terminal, in the room that it has."""
 
 import io
+from datetime import UTC, datetime
+from typing import get_args, get_type_hints
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from msgspec import Struct
 from rich.cells import cell_len
 from rich.console import Console
-from tests.coordinator.monitor.shown import event, worker
+from tests.coordinator.monitor.shown import NOW, event, worker
 from tests.coordinator.monitor.terminal.seen import ENDPOINT, job, shown
 
+from qdgrasp_coordinator.counts.curve import Curve, Point
+from qdgrasp_coordinator.counts.events import Event, EventKind
+from qdgrasp_coordinator.counts.figures import MOST, Figures, JobFigures, JobMeta, to_json
+from qdgrasp_coordinator.counts.team import TeamFigures, WorkerFigures
+from qdgrasp_coordinator.monitor.jobs import Jobs
+from qdgrasp_coordinator.monitor.overview import lines as told
 from qdgrasp_coordinator.monitor.terminal.choice import Choice
 from qdgrasp_coordinator.monitor.terminal.frame import LEAST, Shown, frame, page, shared, sheet
 from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII, UNICODE, Glyphs
+from qdgrasp_protocol.keys import Keys
 
 ONE = shown(job())
 MANY = shown(
@@ -153,6 +163,60 @@ class TestTrouble:
                 assert "\x1b" not in seen
                 assert "\u202e" not in seen
                 assert "\\x1b[2J\\n\\u202eevil" in seen
+
+
+WILD = st.integers(0, MOST) | st.integers(0, 3)
+WILD_FLOAT = st.floats(0, MOST)
+WILD_TEXT = st.text(max_size=40)
+
+
+def wild(kind: type[Struct]) -> st.SearchStrategy[Struct]:
+    """Whatever a message of a kind may hold."""
+    of_type = {
+        int: WILD,
+        float: WILD_FLOAT,
+        str: WILD_TEXT,
+        datetime: st.datetimes(timezones=st.just(UTC)),
+        dict[str, int]: st.dictionaries(WILD_TEXT, WILD, max_size=3),
+        EventKind: st.sampled_from(get_args(EventKind)),
+        list[WorkerFigures]: st.lists(st.deferred(lambda: wild(WorkerFigures)), max_size=3),
+        list[Point]: st.lists(st.builds(Point, *[WILD] * 5), max_size=5),
+    }
+    return st.builds(kind, **{name: of_type[hint] for name, hint in get_type_hints(kind).items()})
+
+
+@settings(
+    max_examples=25,
+    suppress_health_check=[HealthCheck.too_slow],
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],
+)
+@given(
+    meta=wild(JobMeta),
+    figures=st.lists(wild(JobFigures), min_size=1, max_size=3),
+    runs=st.lists(wild(Figures), max_size=3),
+    pages=st.lists(wild(TeamFigures), max_size=2),
+    events=st.lists(wild(Event), max_size=3),
+    curve=wild(Curve),
+    size=st.sampled_from(SIZES),
+)
+def test_whatever_a_coordinator_says_fits(meta, figures, runs, pages, events, curve, size) -> None:
+    jobs, keys = Jobs(), Keys("mugs")
+    says = [(keys.stat(f"run/{number}"), one) for number, one in enumerate(runs)]
+    says += [(keys.stat(f"team/{number}"), one) for number, one in enumerate(pages)]
+    says += [(keys.stat("job"), one) for one in figures]
+    says += [(keys.event("job"), one) for one in events]
+    says += [(keys.meta, meta), (keys.stat("curve/a"), curve)]
+    for number, (key, one) in enumerate(says):
+        jobs.heard(key, to_json(one), 1000.0 + number)
+    (view,) = jobs.views(1005.0)
+    for long in ("", "runs", "workers", "events"):
+        for glyphs in (UNICODE, ASCII):
+            for line in frame(shown(view), Choice(long=long), *size, glyphs):
+                assert line.cell_len <= size[0], line.plain
+            lines = drawn(shown(view), *size, Choice(long=long), glyphs)
+            assert len(lines) == size[1]
+            assert max(map(cell_len, lines)) <= size[0]
+    assert list(told(view, NOW))
 
 
 def test_a_sheet_shows_everything_of_all_jobs() -> None:

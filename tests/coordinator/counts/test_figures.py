@@ -1,0 +1,40 @@
+"""What is shown, as it travels."""
+
+import pytest
+from tests.coordinator.monitor.shown import event, figures, run, team, worker
+
+from qdgrasp_coordinator.counts.figures import MOST, JobFigures, from_json, to_json
+from qdgrasp_protocol.errors import MessageError
+
+
+@pytest.mark.parametrize(
+    "shown", [figures(evaluations=MOST), run("a", seed=MOST - 1), event(1), *team(worker(1), worker(2))]
+)
+def test_what_is_shown_arrives_as_it_was(shown) -> None:
+    assert from_json(to_json(shown), type(shown)) == shown
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        figures(evaluations=-1),
+        figures(seconds=1e20),
+        figures(rate=-0.5),
+        run("a", outcomes={"held": -1}),
+        *team(worker(1), worker(2, seen=-1.0)),
+    ],
+)
+def test_numbers_that_are_no_counts_are_refused(shown) -> None:
+    with pytest.raises(MessageError, match="negative, or beyond"):
+        from_json(to_json(shown), type(shown))
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-300, 5e-324])
+def test_a_job_that_hardly_goes_on_has_no_time_left_in_words(rate: float) -> None:
+    assert figures(rate=rate).left == "time left unknown"
+
+
+def test_what_is_no_json_is_refused() -> None:
+    for payload in (b"", b"\xff", b"[" * 100_000, b'{"job": 1}', b'{"rate": NaN}'):
+        with pytest.raises(MessageError, match="not figures"):
+            from_json(payload, JobFigures)
