@@ -42,10 +42,10 @@ class Exhibit:
         self._voxels = Voxels(self._origin)
         self._read = -FRESH
 
-    @cached_property
+    @property
     def stage(self) -> bytes:
         """JSON of `geometry.Stage`."""
-        return msgspec.json.encode(geometry.stage(self._records.scene(self._job, self._run), self._hand))
+        return self._prepared[1]
 
     def cells(self, first: int) -> bytes:
         """A page of `voxels`, with what was found until now."""
@@ -59,11 +59,14 @@ class Exhibit:
         if not len(found) or found["number"][0] != number:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
         command = REPLAY.format(run=self._records.name(self._job, self._run), number=number)
-        return msgspec.json.encode(geometry.grasp(found[0], self._hand, command))
+        return msgspec.json.encode(geometry.grasp(found[0], self._prepared[0], command))
 
     @cached_property
-    def _hand(self) -> Hand:
-        return hand(self._records.scene(self._job, self._run).gripper)
+    def _prepared(self) -> tuple[Hand, bytes]:
+        """The hand, and the stage as JSON."""
+        scene = self._records.scene(self._job, self._run)
+        made = hand(scene.gripper)
+        return made, msgspec.json.encode(geometry.stage(scene, made))
 
     def _catch_up(self) -> None:
         """Read what was found since, for as long as that may take."""

@@ -251,6 +251,38 @@ def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> N
     assert np.allclose(alone.evaluate(state), first)
 
 
+def test_what_takes_long_is_drawn_coarsely_and_finely_again_when_it_does_not(alone: Page) -> None:
+    finest, coarsest, again = alone.evaluate(
+        """async () => {
+          const { Pace } = await import("/static/scene/pace.js");
+          const pace = new Pace(), levels = [pace.level];
+          for (const ms of [90, 8]) {
+            for (let frame = 0; frame < 40; frame++) pace.took(ms);
+            levels.push(pace.level);
+          }
+          return levels;
+        }"""
+    )
+    assert finest == again == {"scale": 1, "plain": False, "share": 1}
+    assert coarsest["plain"]
+    assert coarsest["scale"] * coarsest["share"] < 0.5
+
+
+def test_another_view_may_take_over_the_canvas(alone: Page) -> None:
+    alone.evaluate("view.stop()")
+    alone.evaluate(
+        """async () => {
+          const { SceneView } = await import("/static/scene.js");
+          window.view = new SceneView(document.querySelector("canvas"), "/api", "mug", "mug");
+          view.onselect = (grasp) => (window.grasp = grasp);
+          await view.start();
+        }"""
+    )
+    alone.mouse.click(*alone.evaluate(PLACE, 9))
+    alone.wait_for_function("() => window.grasp")
+    assert alone.evaluate("grasp.number") == 9
+
+
 def _words(records: HandMadeRecords) -> str:
     """What the view says when it has them all."""
     return f"{len(np.unique(records.found['descriptor'], axis=0))} cells of 1 cm"

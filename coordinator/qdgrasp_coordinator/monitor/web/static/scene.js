@@ -63,6 +63,7 @@ export class SceneView {
   stop() {
     this.#stopped = true;
     clearTimeout(this.#timer);
+    clearTimeout(this.glowing);
     this.source.end();
     this.#listen("removeEventListener");
     this.#clear();
@@ -246,8 +247,12 @@ export class SceneView {
     const moved = this.#down && Math.hypot(clientX - this.#down[0], clientY - this.#down[1]);
     if (!this.voxels || this.#down === null || moved > TAP || button) return;
     const { left, top } = this.canvas.getBoundingClientRect();
-    const number = await this.#at(clientX - left, clientY - top, NEAR[pointerType] ?? NEAR.mouse);
-    if (!this.#stopped) this.select(number);
+    try {
+      const number = await this.#at(clientX - left, clientY - top, NEAR[pointerType] ?? NEAR.mouse);
+      if (!this.#stopped) this.select(number);
+    } catch (error) {
+      this.#fail(error);
+    }
   };
 
   #key = (event) => {

@@ -13,6 +13,7 @@ export class Lens {
     this.up = new Vector3();
     this.toward = new Vector3();
     this.#drawn = this.camera.clone();
+    this.resize(300, 300); // until the canvas is seen
   }
 
   #drawn;

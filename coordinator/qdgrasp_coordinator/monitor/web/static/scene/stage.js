@@ -106,6 +106,7 @@ export class Stage {
     this.canvas.removeEventListener("pointerdown", this.#focus);
     this.canvas.removeEventListener("focus", this.#hold);
     this.canvas.removeEventListener("blur", this.#hold);
+    this.renderer.resetState(); // another stage may use the canvas
     this.renderer.dispose();
   }
 
@@ -167,8 +168,7 @@ export class Stage {
   #fit() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
-    const shrunk = this.lens.height ? Math.min(width, height) / Math.min(this.lens.width, this.lens.height) : 1;
-    this.lens.camera.zoom *= shrunk;
+    this.lens.camera.zoom *= Math.min(width, height) / Math.min(this.lens.width, this.lens.height);
     this.lens.resize(width, height);
     this.invalidate();
   }
