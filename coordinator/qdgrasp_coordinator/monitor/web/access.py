@@ -91,7 +91,7 @@ class Access:
         """Let somebody in who has the token in the address, and ask others for it."""
         if request.url.path == "/" and self._is_shown([request.query_params.get("token", "")]):
             entered = RedirectResponse("/", 303)
-            entered.set_cookie(COOKIE, self.token, httponly=True, samesite="strict")
+            entered.set_cookie(_cookie(request), self.token, httponly=True, samesite="lax")
             return entered
         headers = {"WWW-Authenticate": "Bearer", "Cache-Control": "no-store"}
         asks = "text/html" in request.headers.get("accept", "") and request.url.path == "/"
@@ -146,4 +146,10 @@ def _shown(request: Request) -> list[str]:
     """The tokens that come with a request."""
     scheme, _, word = request.headers.get("authorization", "").partition(" ")
     bearer = word.strip() if scheme.lower() == "bearer" else ""
-    return [bearer, request.cookies.get(COOKIE, "")]
+    return [bearer, request.cookies.get(_cookie(request), "")]
+
+
+def _cookie(request: Request) -> str:
+    """The cookie of a page: those of other ports of the same machine are others."""
+    port = request.headers.get("host", "").rpartition(":")[2]
+    return f"{COOKIE}-{port}" if port.isdecimal() else COOKIE

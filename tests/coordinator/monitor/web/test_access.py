@@ -4,9 +4,10 @@ import pytest
 from tests.coordinator.monitor.web.conftest import client
 from tests.coordinator.monitor.web.fakes import FakeFeed
 
-from qdgrasp_coordinator.monitor.web.access import COOKIE, Access
+from qdgrasp_coordinator.monitor.web.access import Access
 from qdgrasp_protocol.errors import ImpossibleValue
 
+COOKIE = "qdgrasp-monitor-8080"
 TOKEN = "a-token-of-some-length"  # noqa: S105 - it opens nothing
 LOCKED = Access(local=False, token=TOKEN)
 PAGES = ("/", "/api/state", "/metrics", "/static/app.js", "/api/jobs/mug/curves", "/nowhere")
@@ -63,13 +64,19 @@ def test_the_token_in_the_address_becomes_a_cookie_that_no_script_and_no_other_p
     assert (entered.status_code, entered.headers["location"]) == (303, "/")
     cookie = entered.headers["set-cookie"]
     assert "HttpOnly" in cookie
-    assert "SameSite=strict" in cookie
+    assert "SameSite=lax" in cookie
     assert guest.get("/api/state").status_code == 200
 
 
+def test_the_cookie_of_another_port_is_another(feed: FakeFeed) -> None:
+    headers = {"cookie": f"{COOKIE}={TOKEN}", "host": "head:9090"}
+    assert client(feed, LOCKED).get("/api/state", headers=headers).status_code == 401
+
+
 def test_the_token_opens_a_page_elsewhere_under_any_name(feed: FakeFeed) -> None:
-    headers = {"authorization": f"Bearer {TOKEN}", "host": "head.lab.example:8080"}
-    assert client(feed, LOCKED).get("/", headers=headers).status_code == 200
+    for host in ("head.lab.example:8080", "head", "[2001:db8::1]", "head:port", ""):
+        headers = {"authorization": f"Bearer {TOKEN}", "host": host}
+        assert client(feed, LOCKED).get("/", headers=headers).status_code == 200
 
 
 def test_a_token_can_be_asked_for_on_loopback_too(feed: FakeFeed) -> None:
