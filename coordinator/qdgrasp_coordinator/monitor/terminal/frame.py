@@ -25,7 +25,7 @@ from qdgrasp_coordinator.monitor.terminal.table import Lines, fit
 LEAST = (40, 12)
 """The least columns and lines in which something can be shown."""
 WIDE = 160  # columns from which two lists stand side by side
-TALLEST = 24
+TALLEST = 30
 """The most lines of the curves."""
 KEYS = "q quit  tab job  r runs  w workers  e events  arrows scroll"
 

@@ -50,8 +50,12 @@ def table(
     glyphs: Glyphs,
     style: Callable[[Row], str] = lambda _: "",
 ) -> Lines:
-    """A line with the titles, and one for each row; no line is longer than `width`."""
-    chosen = fitting(columns, width)
+    """A line with the titles, and one for each row; no line is longer than `width`.
+
+    A column without a title is there where it tells something.
+    """
+    told = [column for column in columns if column.title or any(column.value(row).strip() for row in rows)]
+    chosen = fitting(told, width)
     widths = [column.width for column in chosen]
     growing = [number for number, column in enumerate(chosen) if column.grows]
     spare = width - _total(chosen)
