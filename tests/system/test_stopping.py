@@ -29,6 +29,10 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 PROMISED = 2.0
 """Seconds that a command may take to stop, on a machine that is not busy with something else."""
+COMPUTING = 0.5
+"""Of these it computes at most so long, which takes longer where others compute too; the rest it waits."""
+SPIN = 0.1
+"""CPU seconds by which it is found out how busy this machine is."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 LONG = (*SMALL, "--evaluations", 100_000)
 Beginning = Callable[[Commands], subprocess.Popen[str]]
@@ -88,11 +92,36 @@ def checking(qdgrasp: Commands) -> subprocess.Popen[str]:
     return process
 
 
+def with_a_hanging_simulator(qdgrasp: Commands) -> subprocess.Popen[str]:
+    """A worker of a job elsewhere, whose simulator stands still with a batch."""
+    endpoint = own_endpoint()
+    qdgrasp.start("run", *LONG, "--workers", 0, "--out", "run", "--listen", endpoint)
+    process = qdgrasp.start("--connect", endpoint, module=WORKER)
+    wait_for(lambda: rows_recorded(qdgrasp.home / "run") > 0, "rows")
+    for pid in processes_of(process.pid).values():
+        os.kill(pid, signal.SIGSTOP)
+    return process
+
+
+def coordinating(qdgrasp: Commands) -> subprocess.Popen[str]:
+    """A coordinator that is to meet the others at a router which is not there."""
+    (qdgrasp.home / "mugs.toml").write_text('gripper = "panda"\nobject = "tennis_ball"\n')
+    return seeking("mugs.toml", module=COORDINATOR)(qdgrasp)
+
+
+def benching(qdgrasp: Commands) -> subprocess.Popen[str]:
+    process = qdgrasp.start("bench", "--workers", 1, "--seconds", 3600)
+    wait_for(lambda: bool(processes_of(process.pid)), "a worker")
+    return process
+
+
 def _is_loaded(pid: int) -> bool:
     return len(list(Path(f"/proc/{pid}/task").iterdir())) > 4
 
 
 RECORDER, ROUTER = "qdgrasp_coordinator.cli.recorder", "qdgrasp_coordinator.cli.router"
+COORDINATOR = "qdgrasp_coordinator.cli.coordinator"
+WORKER = "qdgrasp_worker.cli"
 MONITOR = "qdgrasp_coordinator.cli.monitor"
 BEGINNINGS: dict[str, Beginning] = {
     "a run": working,
@@ -108,6 +137,10 @@ BEGINNINGS: dict[str, Beginning] = {
     "a check without a router": checking,
     "a router without the other one": seeking("--listen", own_endpoint(), module=ROUTER),
     "a recorder without a router": seeking("--job", "mugs", "--out", "out", module=RECORDER),
+    "a worker without a router": seeking(module=WORKER),
+    "a coordinator without a router": coordinating,
+    "a worker whose simulator hangs": with_a_hanging_simulator,
+    "a measurement of this node": benching,
 }
 QUICK = {"a run whose router is away": signal.SIGINT, "a campaign's scene that is built": signal.SIGTERM}
 
@@ -154,8 +187,18 @@ def test_a_question_stops_while_the_coordinator_stands_still(
         rest.set()
 
 
+def scarcity() -> float:
+    """How many times as long as on an idle machine something takes here now, because others compute too."""
+    began, end = time.monotonic(), time.process_time() + SPIN
+    while time.process_time() < end:
+        pass
+    return max(1.0, (time.monotonic() - began) / SPIN)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("name", BEGINNINGS)
 def test_a_command_stops_within_two_seconds(qdgrasp: Commands, name: str, number: int) -> None:
-    assert stopped(qdgrasp, BEGINNINGS[name], number) < PROMISED
+    before = scarcity()
+    took = stopped(qdgrasp, BEGINNINGS[name], number)
+    assert took < PROMISED + COMPUTING * (max(before, scarcity()) - 1)
