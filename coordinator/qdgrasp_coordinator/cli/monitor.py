@@ -63,17 +63,18 @@ def monitor(
 
     Example: qdgrasp-monitor --connect tcp/head:7447
     """
+    speak("monitor", level=logging.INFO if web else logging.ERROR)
     endpoint = place(connect, security)
     if once:
         with session(endpoint, security, Role.MONITOR, wait) as bus:
             there = look(bus)
         views = chosen(there.views(time.time()), job)
-        typer.echo(to_json(views, endpoint)) if as_json else show(
-            views, endpoint, there.strangers, ascii_only=ascii_only
-        )
+        if as_json:
+            typer.echo(to_json(views, endpoint))
+        else:
+            show(views, endpoint, there.strangers, ascii_only=ascii_only)
         return
     with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
-        speak("monitor", level=logging.INFO if web else logging.ERROR)
         credentials = Credentials.find(security, Role.MONITOR)
         bus = stack.enter_context(ZenohBus.connect(endpoint, wait, stop, credentials))
         feed = stack.enter_context(Feed(bus, job))
