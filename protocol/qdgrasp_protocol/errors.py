@@ -245,8 +245,8 @@ class EndedEarly(QdgraspError):
 class Cancelled(EndedEarly):
     """Whoever administers the job told its coordinator to end, which it does as asked.
 
-    To the coordinator this is no failure, and nobody is to start it again. To whoever waits for the job, such as
-    `qdgrasp run`, it is an `EndedEarly` like any other.
+    To the coordinator this is no failure, and nobody is to start it again. To whoever waits for the job,
+    such as `qdgrasp run`, it is an `EndedEarly` like any other.
 
     Parameters
     ----------
