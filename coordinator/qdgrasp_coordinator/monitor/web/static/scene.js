@@ -159,10 +159,11 @@ export class SceneView {
       const known = this.voxels.size;
       if (page.n) this.voxels.update(page, this.stage.calm ? null : now);
       if (known < CUT_OPEN && this.voxels.size >= CUT_OPEN) this.voxels.cut = true;
+      const went = page.next > this.#from;
       this.#from = page.next;
       if (page.n || now === null) this.#tell();
       if (!this.stage.touched && this.voxels.farthest > GROWN * this.#whole) this.home();
-      if (page.next >= page.rows || !page.n) return;
+      if (page.next >= page.rows || !went) return;
     }
   }
 
