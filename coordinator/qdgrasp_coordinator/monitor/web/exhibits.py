@@ -15,7 +15,7 @@ from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.monitor.records import Page, Records
 from qdgrasp_coordinator.monitor.web import geometry
 from qdgrasp_coordinator.monitor.web.voxels import Voxels
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import BusError, InputError
 
 RUNS = 16
 """So many runs are kept ready; the one that was not looked at for longest gives way."""
@@ -48,9 +48,13 @@ class Exhibit:
         return self._prepared[1]
 
     def cells(self, first: int) -> bytes:
-        """A page of `voxels`, with what was found until now."""
+        """A page of `voxels`, with what was found until now; or until nobody answered any more."""
         with self._lock:
-            self._catch_up()
+            try:
+                self._catch_up()
+            except BusError:
+                if not self._voxels.rows:
+                    raise
             return self._voxels.page(first)
 
     def grasp(self, number: int) -> bytes:

@@ -7,7 +7,7 @@ from tests.coordinator.monitor.web.test_voxels import read
 from qdgrasp_coordinator.monitor.web import exhibits
 from qdgrasp_coordinator.monitor.web.exhibits import FRESH, Exhibits
 from qdgrasp_coordinator.monitor.web.voxels import HEADER
-from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.errors import InputError, NoReply, UnknownName
 from qdgrasp_protocol.outcome import Outcome
 
 
@@ -120,3 +120,18 @@ def test_only_so_many_runs_are_kept_ready(
     assert records.asked == 3
     library.cells("a", "run", 0)
     assert records.asked == 4
+
+
+def test_what_was_read_is_shown_when_nobody_answers_any_more(
+    records: HandMadeRecords, library: Exhibits, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(*_: object) -> None:
+        raise NoReply("nobody answers")
+
+    records.record(random_finds(4))
+    before = library.cells("job", "run", 0)
+    monkeypatch.setattr(records, "page", away)
+    clock.now += FRESH
+    assert library.cells("job", "run", 0) == before
+    with pytest.raises(NoReply):
+        library.cells("job", "another", 0)
