@@ -53,6 +53,7 @@ export class Stage {
   #frame = 0;
   #timer = 0;
   #movedAt = -Infinity;
+  #stirred = false;
   #before = 0;
   #smooth = false;
   #gone = false;
@@ -64,6 +65,7 @@ export class Stage {
 
   /** Have it drawn as something that moves. */
   moved() {
+    this.#stirred = true;
     this.#movedAt = performance.now();
     this.invalidate();
   }
@@ -114,7 +116,8 @@ export class Stage {
     this.#frame = 0;
     if (this.renderer.getContext().isContextLost()) return;
     this.controls.enableDamping = !this.calm && this.pace.finest; // where pictures are few it would go on for long
-    const moving = this.controls.update() || performance.now() - this.#movedAt < REST;
+    const moving = this.controls.update() || this.#stirred || performance.now() - this.#movedAt < REST;
+    this.#stirred = false; // however late this picture is, what moved before it is drawn as moving
     if (moving) this.#follow(at);
     this.onframe(at);
     this.lens.aim();
@@ -168,7 +171,10 @@ export class Stage {
   #fit() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
-    this.lens.camera.zoom *= Math.min(width, height) / Math.min(this.lens.width, this.lens.height);
+    const grown = Math.min(width, height) / Math.min(this.lens.width, this.lens.height);
+    this.lens.camera.zoom *= grown;
+    this.controls.minZoom *= grown; // else a canvas that is tiny for a moment would be seen too closely ever after
+    this.controls.maxZoom *= grown;
     this.lens.resize(width, height);
     this.invalidate();
   }
