@@ -14,7 +14,7 @@ const SLOW = 40; // ms: a frame that takes longer is drawn more coarsely next ti
 const AWFUL = 120; // ms: that, and it is drawn much more coarsely
 const QUICK = 12; // ms: below it, more finely
 const SETTLED = 3; // frames at one level before it is judged
-const STALLED = 1000; // ms: a frame so late was held up by something else
+const STALLED = 250; // ms: a frame that is later was held up by something else, and counts as this
 
 export class Pace {
   #level = 0;
@@ -31,8 +31,8 @@ export class Pace {
 
   /** Tell how long a frame took [ms]; true where the level changed. */
   took(ms) {
-    if (ms > STALLED) return false;
-    this.#mean = this.#frames ? 0.6 * this.#mean + 0.4 * ms : ms;
+    const counted = Math.min(ms, STALLED);
+    this.#mean = this.#frames ? 0.6 * this.#mean + 0.4 * counted : counted;
     this.#frames += 1;
     if (this.#frames < SETTLED) return false;
     if (this.#mean > SLOW) return this.#go(Math.min(this.#level + (this.#mean > AWFUL ? 2 : 1), LEVELS.length - 1));
