@@ -19,7 +19,7 @@ from tests.browser import Visit
 from tests.system.commands import Commands
 from tests.system.watched import Watched
 
-JOB = ("--gripper", "panda", "--object", "mug", "--evaluations", 500)
+JOB = ("--gripper", "panda", "--object", "mug", "--evaluations", 400)
 FOUND = re.compile(r"cells of 1 cm")
 LONG = 1_800_000  # ms that the job may take
 SETTLED = 2500  # ms in which a view in 3D comes to rest
@@ -40,15 +40,18 @@ def main(out: Path) -> None:
         page = visit.page
         try:
             expect(page.locator("#scene-words")).to_contain_text(FOUND, timeout=LONG)
-            take(chromium, watched.address, out, "start")
+            take(page, out, "start")
             until(page, 0.4)
             say(f"a killed worker is shown as gone after {dies(watched, 'worker', page):.1f} s")
             say(f"the next coordinator is shown after {dies(watched, 'coordinator', page):.1f} s")
             until(page, 0.6)
-            take(chromium, watched.address, out, "midway", chosen=True)
+            page.locator("#scene").press("n")
+            page.locator("#grasp").wait_for(timeout=LONG)
+            take(page, out, "midway")
+            page.locator("#scene").press("Escape")
             watched.ends()
-            expect(page.locator("#state")).to_contain_text("ended")
-            take(chromium, watched.address, out, "end")
+            expect(page.locator("#state")).to_contain_text("ended", timeout=LONG)
+            take(page, out, "end")
             say(f"the browser complained of {visit.complaints or 'nothing'}")
         finally:
             commands.end_all()
@@ -77,25 +80,22 @@ def until(page: Any, share: float) -> None:
     page.wait_for_function(DONE, arg=share, timeout=LONG)
 
 
-def take(chromium: Any, address: str, out: Path, moment: str, *, chosen: bool = False) -> None:
-    """A picture for a desk and one for a phone, light and dark; with a grasp chosen where that is asked."""
-    for kind in ("desktop", "phone"):
+def take(page: Any, out: Path, moment: str) -> None:
+    """A picture as on a desk and one as on a phone, light and dark."""
+    for kind, size in {"desktop": browser.DESKTOP, "phone": browser.PHONE}.items():
         for theme in ("light", "dark"):
-            visit = Visit(chromium, f"{address}#job=mug", phone=kind == "phone", color_scheme=theme)
-            visit.page.locator("#scene-words", has_text=FOUND).wait_for()
-            if chosen:
-                visit.page.locator("#scene").press("n")
-                visit.page.locator("#grasp").wait_for()
-            visit.page.wait_for_timeout(SETTLED)
-            shot = visit.page.screenshot(full_page=True)
-            save(shot, out / f"{moment}-{kind}-{theme}.png")
-            visit.context.close()
+            page.set_viewport_size(size)
+            page.emulate_media(color_scheme=theme)
+            page.wait_for_timeout(SETTLED)
+            save(page.screenshot(full_page=True), out / f"{moment}-{kind}-{theme}.png")
 
 
 def save(shot: bytes, path: Path) -> None:
     """Write a picture with few colours, so that it stays small."""
     picture = Image.open(BytesIO(shot)).convert("RGB")
-    picture.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE).save(
+        path, optimize=True
+    )
     say(f"{path.name}: {path.stat().st_size / 1024:.0f} KiB")
 
 
