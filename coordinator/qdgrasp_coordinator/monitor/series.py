@@ -1,6 +1,7 @@
 """Series: how figures grew while somebody watched, in points few enough to be drawn at once."""
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 from msgspec import Struct
@@ -31,7 +32,7 @@ class Series(Struct, frozen=True, kw_only=True):
 
 
 class Look(NamedTuple):
-    """One look at the figures of a job or a run: first what a series shows, in its order."""
+    """One look at the figures of a job or a run: what a series shows, in its order."""
 
     at: float
     evaluations: int
@@ -40,43 +41,34 @@ class Look(NamedTuple):
     cells: int
     robust: int
     workers: int
-    seconds: float
-    """Since its coordinator began with it."""
-    fresh: float
-    """Counted evaluations since then, replayed ones apart."""
-
-    @classmethod
-    def of(cls, figures: Figures | JobFigures, at: float, before: Sequence["Look"]) -> "Look":
-        """What they are at a time, after other looks."""
-        one, seconds, fresh = figures, figures.seconds, figures.rate * figures.seconds
-        rate = rate_of(seconds, fresh, before)
-        return cls(
-            at, one.evaluations, rate, one.successes, one.cells, one.robust, one.workers, seconds, fresh
-        )
 
 
-def rate_of(seconds: float, fresh: float, before: Sequence[Look]) -> float:
-    """Counted evaluations per second over the `WINDOW` before now.
+class Lately:
+    """What a coordinator counted lately: the looks of a `WINDOW`, none of them left out."""
 
-    Over all the time since the coordinator began, where it is not known how far it was `LEAST` ago.
+    def __init__(self) -> None:
+        self._looks: deque[tuple[float, float]] = deque(maxlen=MOST)
 
-    Parameters
-    ----------
-    seconds, fresh
-        Those of the look now.
-    before
-        The looks before it.
-    """
-    began = earlier = (0.0, 0.0)
-    later = seconds
-    for look in reversed(before):
-        if look.seconds > later:
-            break  # another coordinator began to count anew
-        later, earlier = look.seconds, (look.seconds, look.fresh)
-        if seconds - later >= WINDOW:
-            break
-    since, counted = earlier if seconds - earlier[0] >= LEAST else began
-    return max(0.0, (fresh - counted) / (seconds - since)) if seconds > since else 0.0
+    def rate(self, seconds: float, fresh: float) -> float:
+        """Counted evaluations per second over the `WINDOW` before now.
+
+        Over all the time since the coordinator began, where it is not known how far it was `LEAST` ago.
+
+        Parameters
+        ----------
+        seconds
+            Since the coordinator began; less than before: another one did.
+        fresh
+            Counted evaluations since then, replayed ones apart.
+        """
+        looks = self._looks
+        if looks and seconds < looks[-1][0]:
+            looks.clear()
+        looks.append((seconds, fresh))
+        while len(looks) > 1 and seconds - looks[1][0] >= WINDOW:
+            looks.popleft()
+        since, counted = looks[0] if seconds - looks[0][0] >= LEAST else (0.0, 0.0)
+        return max(0.0, (fresh - counted) / (seconds - since)) if seconds > since else 0.0
 
 
 class Thinned(Generic[Kind]):
@@ -121,14 +113,16 @@ class History:
 
     def __init__(self) -> None:
         self._looks: Thinned[Look] = Thinned(lambda look: look.at, MOST, STEP)
+        self._lately = Lately()
 
     def add(self, figures: Figures | JobFigures, at: float) -> None:
         """Note how far it is."""
-        self._looks.add(Look.of(figures, at, self._looks.points))
+        one, rate = figures, self._lately.rate(figures.seconds, figures.rate * figures.seconds)
+        self._looks.add(Look(at, one.evaluations, rate, one.successes, one.cells, one.robust, one.workers))
 
     @property
     def series(self) -> Series:
         """The series so far."""
         columns = [list(column) for column in zip(*self._looks.points, strict=True)]
         names = Series.__struct_fields__
-        return Series(**dict(zip(names, columns or [[] for _ in names], strict=False)))
+        return Series(**dict(zip(names, columns or [[] for _ in names], strict=True)))

@@ -66,6 +66,15 @@ def test_a_rate_is_of_the_window_before_it() -> None:
     assert 10.0 < found[110] < 50.0
 
 
+def test_a_rate_is_of_the_last_half_minute_however_long_somebody_watches() -> None:
+    history, week, pause = History(), 7 * 86_400, 300
+    for second in [*range(0, week, 60), *range(week, week + pause)]:
+        fresh = 100.0 * min(second, week)  # then nothing comes any more
+        history.add(figures(seconds=float(second), rate=fresh / second if second else 0.0), 1000.0 + second)
+    assert len(history.series.at) <= MOST
+    assert history.series.rate[-1] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_the_first_rate_is_that_since_the_coordinator_began() -> None:
     history = History()
     history.add(figures(seconds=10.0, rate=25.0), 1000.0)
