@@ -37,7 +37,8 @@ def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:
     bundle = pack_scene(msgspec.structs.replace(scene, protocol=settings.get("protocol", "paper")))
     spec = RunSpec(**{"gripper": "jaw", "object": "block.stl", "mass": 0.1, "population": 10} | settings)
     folder = RunFolder.create(path, spec, bundle)
-    identity = Identity("run", to_toml(spec), bundle.digest, SHAPE)
+    shape = Shape(*(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor")))
+    identity = Identity("run", to_toml(spec), bundle.digest, shape)
     with JournalWriter.create(path, identity) as journal:
         journal.begin_turn(1, 0.0)
         if len(rows):

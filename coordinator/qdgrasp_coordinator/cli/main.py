@@ -24,6 +24,7 @@ from qdgrasp_coordinator.cli import (
     resume,
     run,
     security,
+    show,
 )
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.logs import speak
@@ -39,6 +40,7 @@ for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evalu
     app.command()(command)
 app.command()(campaign.campaign)
 app.command()(analyse.analyse)
+app.command()(show.show)
 app.command()(rerank.rerank)
 app.command()(merge.merge)
 app.command()(prune.prune)
