@@ -1,7 +1,7 @@
 """The runs of a campaign in its folder: which are finished, and how the others are made ready."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from qdgrasp_assets.scene import Bundle, Scene
@@ -40,8 +40,9 @@ class CampaignRuns:
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
         self._runs = runs
-        self.extent = Extent(runs=len(runs), evaluations=sum(spec.evaluations for spec in runs.values()))
-        self._left = deque(name for name, spec in runs.items() if not self._is_done(name, spec))
+        budgets = {name: spec.evaluations for name, spec in runs.items()}
+        self.extent = Extent.of(budgets).with_done(dict(self._done()))
+        self._left = deque(self.extent.budgets)
         self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
 
     def next(self) -> Assignment | None:
@@ -69,13 +70,12 @@ class CampaignRuns:
         """Have a run made again, before any other."""
         self._left.appendleft(run)
 
-    def _is_done(self, name: str, spec: RunSpec) -> bool:
-        """Whether a run is finished; what it found is then added to the extent."""
-        found = finished(self._folder.run_path(name), spec) if self._folder else None
-        if found is None:
-            return False
-        self.extent = self.extent.with_done(found)
-        return True
+    def _done(self) -> Iterator[tuple[str, Totals]]:
+        """The runs that are finished, with what they found."""
+        for name, spec in self._runs.items():
+            found = finished(self._folder.run_path(name), spec) if self._folder else None
+            if found is not None:
+                yield name, found
 
     def _make(self, name: str, spec: RunSpec) -> Assignment:
         path = self._folder.run_path(name) if self._folder else None

@@ -1,10 +1,11 @@
 """The programme of a job: its runs, one after the other, each made when its turn comes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from qdgrasp_coordinator.campaigns.totals import NOTHING, Totals
+from qdgrasp_coordinator.folders.job_folder import RUN
 from qdgrasp_coordinator.runs.assignment import Assignment
 
 
@@ -15,14 +16,26 @@ class Extent:
     runs: int
     evaluations: int
     """The budgets of all runs."""
+    budgets: Mapping[str, int]
+    """Those of the runs that are to be carried out, by name."""
     runs_done: int = 0
     """Runs that were finished before; they are not opened again."""
     done: Totals = NOTHING
     """What these found."""
 
-    def with_done(self, found: Totals) -> "Extent":
-        """The same, with one more run that was finished before."""
-        return replace(self, runs_done=self.runs_done + 1, done=self.done + found)
+    @classmethod
+    def of(cls, budgets: Mapping[str, int]) -> "Extent":
+        """That of runs with these budgets, by name, none of them finished."""
+        return cls(runs=len(budgets), evaluations=sum(budgets.values()), budgets=budgets)
+
+    def with_done(self, found: Mapping[str, Totals]) -> "Extent":
+        """The same, where these runs, by name, were finished before."""
+        return replace(
+            self,
+            budgets={run: budget for run, budget in self.budgets.items() if run not in found},
+            runs_done=self.runs_done + len(found),
+            done=sum(found.values(), self.done),
+        )
 
 
 class Programme(Protocol):
@@ -60,7 +73,7 @@ class Single:
     """
 
     def __init__(self, make: Callable[[], Assignment], evaluations: int) -> None:
-        self.extent = Extent(runs=1, evaluations=evaluations)
+        self.extent = Extent.of({RUN: evaluations})
         self._make = make
         self._is_due = True
 

@@ -59,9 +59,19 @@ class Figures(RunEntry, frozen=True, kw_only=True):
     """What keeps the run from going on, in words; empty when nothing does."""
 
     @property
+    def remaining(self) -> int:
+        """Counted evaluations that it may still take; none once it is over."""
+        return 0 if self.finished else max(0, self.budget - self.evaluations)
+
+    @property
+    def done(self) -> float:
+        """How far it is, 0 to 1."""
+        return _done(self.evaluations, self.remaining)
+
+    @property
     def left(self) -> str:
         """The time left in words, at the speed so far."""
-        return _left(self.budget - self.evaluations, self.rate)
+        return _left(self.remaining, self.rate)
 
 
 class JobFigures(Struct, frozen=True, kw_only=True):
@@ -81,6 +91,8 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     """Counted evaluations of all runs."""
     budget: int
     """Counted evaluations after which all runs are over."""
+    remaining: int
+    """Counted evaluations that runs which are not over may still take; those that end early take fewer."""
     simulated: int
     """Genomes whose hand closed."""
     proposals: int
@@ -142,9 +154,14 @@ class JobFigures(Struct, frozen=True, kw_only=True):
         return "" if self.state == "starting" and self.seconds < PATIENCE else self.trouble
 
     @property
+    def done(self) -> float:
+        """How far it is, 0 to 1: runs that ended early, or failed, have nothing left."""
+        return _done(self.evaluations, self.remaining)
+
+    @property
     def left(self) -> str:
         """The time left in words, at the speed so far."""
-        return _left(self.budget - self.evaluations, self.rate)
+        return _left(self.remaining, self.rate)
 
 
 class JobMeta(Struct, frozen=True, kw_only=True):
@@ -168,11 +185,16 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     """Counted evaluations after which all runs are over."""
 
 
+def _done(evaluations: int, remaining: int) -> float:
+    """The share of what is behind in all that there is."""
+    return evaluations / (evaluations + remaining) if evaluations else 0.0
+
+
 def _left(evaluations: int, rate: float) -> str:
     """The time that so many evaluations take at so many per second, in words."""
-    if rate <= 0 or max(0, evaluations) / rate > FOREVER:
+    if rate <= 0 or evaluations / rate > FOREVER:
         return "time left unknown"
-    seconds = round(max(0, evaluations) / rate)
+    seconds = round(evaluations / rate)
     hours, seconds = divmod(seconds, 3600)
     return (f"{hours}:" if hours else "") + f"{seconds // 60:02d}:{seconds % 60:02d} left"
 

@@ -95,7 +95,10 @@ FOUND = (
     Shown("budget", GaugeMetricFamily, unit="evaluations"),
 )
 """What jobs and runs have both."""
-JOB = Subject("job", ("job",), JobFigures, FOUND)
+JOB = Subject("job", ("job",), JobFigures, (
+    *FOUND,
+    Shown("remaining", GaugeMetricFamily, unit="evaluations"),
+))  # fmt: skip
 TURN = Subject("job", ("job",), JobFigures, (
     Shown("requeued", name="requeued_batches"),
     Shown("strays", name="stray_results"),

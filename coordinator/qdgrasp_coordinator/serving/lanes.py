@@ -47,6 +47,7 @@ class Lanes:
         self._was_put_back = False  # since the opener began
         self._open: dict[str, Lane] = {}
         self._failures: list[RunFailed] = []
+        self._budgets = dict(programme.extent.budgets)  # of the runs that are neither done nor failed
         self._scenes: dict[str, Bundle] = {}
         self._done = 0
         self._found = programme.extent.done
@@ -107,6 +108,7 @@ class Lanes:
         """Go on without a run that cannot be carried out."""
         self._is_opening = False
         self._failures.append(failure)
+        self._budgets.pop(failure.run, None)
 
     def none_left(self) -> None:
         """Hear that there was no run to open; one that was put back meanwhile still is."""
@@ -117,6 +119,7 @@ class Lanes:
         """Let go of a run that is done."""
         del self._open[lane.run]
         self._done += 1
+        self._budgets.pop(lane.run, None)
         self._found += Totals.of(lane.tally)
 
     def reopen(self, lane: Lane) -> None:
@@ -162,6 +165,7 @@ class Lanes:
             runs_failed=len(self._failures),
             runs_open=len(self._open),
             budget=self._extent.evaluations,
+            remaining=sum(self._budgets.values()) - sum(map(_spent, lanes)),
             **asdict(found),
             waiting=sum(lane.waiting for lane in self._open.values()),
             workers=workers,
@@ -169,3 +173,8 @@ class Lanes:
             rate=(found.evaluations - replayed) / seconds if seconds > 0 else 0.0,
             trouble=next(filter(None, troubles), ""),
         )
+
+
+def _spent(lane: Lane) -> int:
+    """How much of its budget a run has behind it: all of it once it is over."""
+    return lane.tally.budget if lane.pipeline.finished else min(lane.tally.evaluations, lane.tally.budget)

@@ -53,7 +53,7 @@ class LiveBar:
         self._bar.update(
             self._task,
             completed=figures.evaluations,
-            total=figures.budget,
+            total=max(1, figures.evaluations + figures.remaining),
             words=printable(figures.words),
             left=figures.left,
         )

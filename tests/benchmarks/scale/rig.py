@@ -42,7 +42,7 @@ class Several:
     """A programme of runs that are all there, and go on as they are where they are put back."""
 
     def __init__(self, runs: list[Assignment]) -> None:
-        self.extent = Extent(len(runs), sum(run.evaluations for run in runs))
+        self.extent = Extent.of({run.run: run.evaluations for run in runs})
         self._runs = {run.run: run for run in runs}
         self._left = list(runs)
 

@@ -22,7 +22,8 @@ def meta(job: str = "mugs", runs: int = 3, epoch: int = 2) -> JobMeta:
 def figures(**more: object) -> JobFigures:
     counts = dict.fromkeys(("runs_done", "runs_failed", *COUNTS), 0)
     values = {"job": "mugs", "runs": 3, "runs_open": 2, "evaluations": 1000, "budget": 3000, "cells": 5}
-    return JobFigures(**(counts | values | {"workers": 9, "seconds": 10.0, "rate": 100.0} | more))
+    values |= {"workers": 9, "seconds": 10.0, "rate": 100.0} | more
+    return JobFigures(**(counts | {"remaining": max(0, values["budget"] - values["evaluations"])} | values))
 
 
 def run(name: str, **more: object) -> Figures:

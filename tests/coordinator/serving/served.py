@@ -53,7 +53,7 @@ class Runs:
     """A programme of runs; those of no plan cannot be made."""
 
     def __init__(self, plans: dict[str, Plan | None]) -> None:
-        self.extent = Extent(runs=len(plans), evaluations=sum(p.evaluations for p in plans.values() if p))
+        self.extent = Extent.of({name: plan.evaluations if plan else 0 for name, plan in plans.items()})
         self._plans = plans
         self._left = list(plans)
         self.pipelines: list[weakref.ref[Pipeline]] = []

@@ -10,6 +10,7 @@ from qdgrasp_coordinator.serving.lane import Lane
 from qdgrasp_coordinator.serving.lanes import Lanes
 from qdgrasp_coordinator.serving.opener import Begun, News, NoneLeft
 from qdgrasp_coordinator.serving.record import Memory
+from qdgrasp_protocol.errors import RunFailed
 from qdgrasp_protocol.lifetime import Stop
 
 
@@ -50,6 +51,26 @@ def test_a_run_that_is_put_back_while_none_was_left_is_opened_again(others: tupl
     coming.lanes.none_left()
     coming.lanes.end(again)
     assert coming.lanes.are_done
+
+
+def test_what_remains_is_of_runs_that_are_not_over() -> None:
+    coming = Coming("run", "other", "third")
+
+    def remaining() -> int:
+        return coming.lanes.figures("job", 1, 0.0).remaining
+
+    assert remaining() == 3 * 40
+    lane, other = coming.open(), coming.open()
+    lane.tally.evaluations = 15
+    assert remaining() == 105
+    lane.tally.finished = "it found enough"
+    assert remaining() == 80
+    coming.lanes.end(lane)
+    assert remaining() == 80
+    coming.lanes.fail(RunFailed("third", "Its mesh is no mesh."))
+    assert remaining() == 40
+    coming.lanes.reopen(other)
+    assert remaining() == 40
 
 
 def test_a_run_that_is_put_back_is_opened_once() -> None:

@@ -18,6 +18,7 @@ FIGURES = JobFigures(
     runs_open=20,
     evaluations=123_456_789,
     budget=154_500_000,
+    remaining=31_043_211,
     simulated=100_000_000,
     proposals=987_654_321,
     overlaps=20_000_000,
@@ -92,3 +93,9 @@ def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) 
     for said in (capsys.readouterr().err, "\n".join(seen(figures, 200))):
         assert r"paused: \x1b[2J" in said
         assert EVIL not in said
+
+
+def test_a_job_whose_runs_ended_early_is_done_when_nothing_remains() -> None:
+    over = replace(FIGURES, remaining=0)
+    assert seen(over)[0].endswith("100 %  00:00 left")
+    assert (over.done, replace(FIGURES, evaluations=0).done) == (1.0, 0.0)

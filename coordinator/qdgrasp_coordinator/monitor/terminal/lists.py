@@ -36,7 +36,7 @@ def job_list(views: Sequence[JobView], chosen: int, width: int, rows: int, glyph
         Column("state", lambda one: glyphs.text(state(one[1])), 12, align="left"),
         Column("runs", lambda one: _runs(one[1]), 7, rank=5),
         Column("evaluations", lambda one: count(one[1].figures.evaluations), 11, rank=4),
-        Column("done", lambda one: part(one[1].figures.evaluations, one[1].figures.budget), 5),
+        Column("done", lambda one: part(one[1].figures.done, 1.0), 5),
         Column("left", lambda one: left(one[1]), 7, rank=2),
         Column("eval/s", lambda one: short(latest(one[1].history)), 6, rank=3),
         Column("cells", lambda one: count(one[1].figures.cells), 8, rank=6),
@@ -56,7 +56,7 @@ def left(view: JobView) -> str:
     figures = view.figures
     if figures.rate <= 0 or view.state in ("gone", "ended"):
         return "-"
-    return span(max(0, figures.budget - figures.evaluations) / figures.rate)
+    return span(figures.remaining / figures.rate)
 
 
 def latest(series: Series) -> float:
@@ -70,7 +70,7 @@ def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
     columns: list[Column[Figures]] = [
         Column("run", lambda run: glyphs.text(run.run), 16, align="left", grows=True),
         Column("evaluations", lambda run: count(run.evaluations), 11, rank=1),
-        Column("done", lambda run: part(run.evaluations, run.budget), 5),
+        Column("done", lambda run: part(run.done, 1.0), 5),
         Column("eval/s", lambda run: _speed(view, run), 6, rank=5),
         Column("cells", lambda run: count(run.cells), 8),
         Column("success", lambda run: part(run.successes, run.evaluations), 7, rank=4),

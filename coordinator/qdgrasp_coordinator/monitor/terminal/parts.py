@@ -34,10 +34,9 @@ class Drawing(NamedTuple):
 def progress(view: JobView, width: int, glyphs: Glyphs) -> Text:
     """How far the job is, as a bar."""
     figures = view.figures
-    done = min(1.0, max(0.0, figures.evaluations / figures.budget)) if figures.budget else 0.0
-    words = f" {part(done, 1.0)}  {figures.left if view.state not in ('gone', 'ended') else view.state}"
+    words = f" {part(figures.done, 1.0)}  {figures.left if view.state not in ('gone', 'ended') else view.state}"
     room = max(4, width - len(words))
-    full = int(done * room)
+    full = int(figures.done * room)
     bar = Text(glyphs.full * full, style="green", no_wrap=True)
     return bar.append(glyphs.empty * (room - full), style="dim").append(words, style="bold")
 

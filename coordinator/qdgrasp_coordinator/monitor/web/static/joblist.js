@@ -2,6 +2,7 @@
 
 import { Choice } from "./choice.js";
 import { element, keyed, put, say } from "./element.js";
+import { extent } from "./extent.js";
 import { percent } from "./words.js";
 
 export class JobList {
@@ -13,13 +14,14 @@ export class JobList {
     keyed(this.root, jobs, ({ job }) => job, make, (item, job) => {
       const link = item.firstElementChild;
       const [name, done, bar] = link.children;
-      const { evaluations, budget } = job.figures;
+      const { evaluations } = job.figures;
+      const whole = extent(job.figures);
       put(link, "aria-current", job.job === chosen ? "page" : null);
       put(link, "data-state", job.state);
-      put(link, "aria-label", `${job.job}, ${job.state}, ${percent(evaluations, budget)}`);
+      put(link, "aria-label", `${job.job}, ${job.state}, ${percent(evaluations, whole)}`);
       say(name, job.job);
-      say(done, percent(evaluations, budget));
-      bar.max = Math.max(1, budget);
+      say(done, percent(evaluations, whole));
+      bar.max = whole;
       bar.value = evaluations;
     });
   }

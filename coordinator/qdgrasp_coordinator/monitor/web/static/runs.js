@@ -2,12 +2,13 @@
 
 import { Choice } from "./choice.js";
 import { put, say } from "./element.js";
+import { extent } from "./extent.js";
 import { Table } from "./table.js";
 import { count, percent } from "./words.js";
 
 const COLUMNS = [
   { name: "run", title: "Run", value: ({ run }) => run, words: ({ run }) => run, link: ({ job, run }) => Choice.address(job, run) },
-  { name: "done", title: "Done", number: true, value: ({ evaluations, budget }) => evaluations / budget, words: (run) => (run.finished ? "finished" : percent(run.evaluations, run.budget)) },
+  { name: "done", title: "Done", number: true, value: (run) => run.evaluations / extent(run), words: (run) => (run.finished ? "finished" : percent(run.evaluations, extent(run))) },
   { name: "evaluations", title: "Evaluations", number: true, value: ({ evaluations }) => evaluations, words: ({ evaluations }) => count(evaluations) },
   { name: "successes", title: "Successes", number: true, value: ({ successes }) => successes, words: ({ successes }) => count(successes) },
   { name: "cells", title: "Cells", number: true, value: ({ cells }) => cells, words: ({ cells }) => count(cells) },

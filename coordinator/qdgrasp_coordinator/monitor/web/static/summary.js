@@ -1,6 +1,7 @@
 // The summary: what the job is, how far it is, and what it has found.
 
 import { element, keyed, put, say } from "./element.js";
+import { extent } from "./extent.js";
 import { ago, count, percent, rate, several, short, span } from "./words.js";
 
 const STARTING = "starting: no recorder has answered yet";
@@ -40,13 +41,15 @@ export class Summary {
     say(this.find("origin"), what || turn);
   }
 
-  #progress({ evaluations, budget, runs, runs_done, runs_failed }, left, over) {
+  #progress(subject, left, over) {
+    const { evaluations, budget, runs, runs_done, runs_failed } = subject;
+    const whole = extent(subject);
     const bar = this.find("progress");
-    bar.max = Math.max(1, budget);
+    bar.max = whole;
     bar.value = evaluations;
     const all = runs > 1 ? `, ${count(runs_done)} of ${count(runs)} runs` : "";
     const failed = runs_failed ? `, ${count(runs_failed)} failed` : "";
-    say(this.find("done"), `${count(evaluations)} of ${count(budget)} evaluations (${percent(evaluations, budget)})${all}${failed}`);
+    say(this.find("done"), `${count(evaluations)} of ${count(budget)} evaluations (${percent(evaluations, whole)})${all}${failed}`);
     say(this.find("left"), over ? "" : left);
   }
 
