@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.coordinator.monitor.shown import run, values, views
 from tests.deploy.commands import DEPLOY
 
-from qdgrasp_coordinator.monitor.metrics import STATES, Metrics
+from qdgrasp_coordinator.monitor.metrics import STATES, exposition
 from qdgrasp_protocol.outcome import Outcome
 
 PROMETHEUS = DEPLOY / "prometheus"
@@ -37,7 +37,7 @@ def told() -> dict[str, set[str]]:
     """The labels of every metric that a monitor tells, by its name."""
     (view,) = views(values())
     whole = structs.replace(view, runs=[run("a", outcomes={one.name.lower(): 1 for one in Outcome})])
-    text = Metrics().text([whole])[0].decode()
+    text = exposition([whole])[0].decode()
     samples = [sample for one in text_string_to_metric_families(text) for sample in one.samples]
     return {sample.name: set(sample.labels) for sample in samples}
 

@@ -23,8 +23,11 @@ log = structlog.get_logger()
 
 INTERVAL = 0.1  # seconds between two looks at the rings
 ANSWER = 1.0  # seconds that coordinators may take to answer
-NEWS: dict[str, int] = {"stat/job": 256, "stat/run/*": 2048, "stat/team/*": 512, "event/*": 512, "meta": 64}
-"""What is heard, and how many messages of it may wait; workers' own signs are not for monitors."""
+NEWS: dict[str, int] = {"meta": 64, "stat/job": 256, "stat/run/*": 2048, "stat/team/*": 512, "event/*": 512}
+"""What is heard, and how many messages of it may wait; first whose it is.
+
+Workers' own signs are not for monitors.
+"""
 
 Change = Callable[[Jobs, float], None]
 

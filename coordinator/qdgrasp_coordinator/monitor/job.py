@@ -7,70 +7,23 @@ from collections.abc import Callable, Iterable
 
 from msgspec import Struct
 
-from qdgrasp_coordinator.counts.curve import POINTS, Curve, Point
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.events import KEPT, Event, Events
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, from_json
 from qdgrasp_coordinator.counts.team import TeamFigures, WorkerFigures
-from qdgrasp_coordinator.monitor.series import History, Series, Thinned
+from qdgrasp_coordinator.monitor.course import Course
+from qdgrasp_coordinator.monitor.ratchet import goes_on, raised
+from qdgrasp_coordinator.monitor.series import History
+from qdgrasp_coordinator.monitor.view import JobView, last_word
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import Keys, last_chunk
 
 SILENCE = 5.0  # seconds after which a coordinator that says nothing is silent; it speaks twice a second
 ECHO = 1.0  # seconds in which a message may come later than the news that its coordinator is gone
+AGAIN = 5.0
+"""Seconds until a question that had no answer is asked again."""
 MOST_RUNS = 512
-"""So many runs of a job are remembered, those that were heard of last."""
-
-
-class JobView(Struct, frozen=True, kw_only=True):
-    """A job as it is shown: on a terminal, on the page, as metrics, as JSON."""
-
-    job: str
-    state: str
-    """What its coordinator says: "starting", "running", "paused" or "ending"; or, where it says nothing,
-    "silent" (nobody knows why: the router may be away), "gone" (it died) or "ended" (it was done)."""
-    silent: float
-    """Seconds since its coordinator was heard."""
-    meta: JobMeta
-    figures: JobFigures
-    runs: list[Figures]
-    """Those in progress, and those that ended while somebody watched, in the order they were heard of."""
-    workers: list[WorkerFigures]
-    events: list[Event]
-    """The latest, eldest first."""
-    history: Series
-    """How the job went while somebody watched."""
-    histories: dict[str, Series]
-    """How its runs did, by their names."""
-    curves: dict[str, Curve]
-    """How the runs grew from their beginnings on, by their names."""
-
-
-class Course:
-    """A run while it goes on: its figures, and how they came to be."""
-
-    def __init__(self, figures: Figures) -> None:
-        self.figures = figures
-        self.history = History()
-        self._points = _no_points()
-
-    def heard(self, figures: Figures, now: float) -> None:
-        """Hear how far it is."""
-        self.figures = figures
-        self.history.add(figures, now)
-        self._points.add(
-            Point(figures.evaluations, figures.proposals, figures.successes, figures.cells, figures.robust)
-        )
-
-    def answered(self, curve: Curve) -> None:
-        """Hear how it got there; what was heard since is added."""
-        later, self._points = self._points.points, _no_points()
-        for point in [*curve.points, *later]:
-            self._points.add(point)
-
-    @property
-    def curve(self) -> Curve:
-        """How it grew."""
-        return Curve(run=self.figures.run, points=list(self._points.points))
+"""So many runs of a job are remembered: those in progress first, then those that were heard of last."""
 
 
 class Job:
@@ -89,14 +42,22 @@ class Job:
         self.figures: JobFigures | None = None
         self.is_readable = True
         """False while what its coordinator says is of another version."""
-        self._runs: dict[str, Course] = {}
-        self._pages: dict[int, list[WorkerFigures]] = {}
+        self.heard_at = 0.0
+        """When it was heard of last."""
+        self._turn: JobMeta | None = None  # the last that said whose work it goes on with
+        self._told: JobFigures | None = None
         self._events: dict[tuple[float, int], Event] = {}
-        self._history = History()
-        self._heard_at = 0.0
         self._gone_at: float | None = None
         self._coordinators: set[str] = set()
-        self._unasked: set[str] = set()  # runs that were not seen from their beginnings on
+        self._begin()
+
+    def _begin(self) -> None:
+        """Know nothing of how it went."""
+        self._held: JobFigures | None = None  # below which no count is to fall
+        self._runs: dict[str, Course] = {}
+        self._pages: dict[int, list[WorkerFigures]] = {}
+        self._history = History()
+        self._unasked: dict[str, float] = {}  # runs not seen from their beginnings on: when to ask for them
 
     # What comes.
 
@@ -109,7 +70,7 @@ class Job:
                 except MessageError:  # another version, or no coordinator of ours
                     self.is_readable = self.is_readable and key != self.keys.stat("job")
                     return False
-                self._heard_at = max(self._heard_at, now)
+                self.heard_at = max(self.heard_at, now)
                 return True
         return False
 
@@ -117,7 +78,7 @@ class Job:
         """Hear that a coordinator is there, or gone; without a way to the router all seem gone."""
         (self._coordinators.add if alive else self._coordinators.discard)(key)
         if alive:
-            self._gone_at, self._heard_at = None, now
+            self._gone_at, self.heard_at = None, now
         elif is_linked and not self._coordinators:
             self._gone_at = now
 
@@ -138,24 +99,40 @@ class Job:
         yield keys.event(last), Event, self._take_event
 
     def _take_meta(self, meta: JobMeta, now: float) -> None:
+        if self._turn and not goes_on(self._turn, meta):
+            self._begin_another(meta)
         self.meta = meta
+        self._turn = meta if meta.epoch else self._turn or meta
+
+    def _begin_another(self, meta: JobMeta) -> None:
+        """Forget the job that had this name before."""
+        self._begin()
+        self.figures = self._told
+        self._events = {key: event for key, event in self._events.items() if event.at >= meta.since}
 
     def _take_figures(self, figures: JobFigures, now: float) -> None:
         self.is_readable = True
         if self._gone_at is not None and now > self._gone_at + ECHO:
             self._gone_at = None  # another one starts, that has no token yet
-        self.figures = figures
-        self._history.add(figures, now)
+        is_over = bool(last_word(figures))
+        self._told = figures
+        self._held = self.figures = raised(figures, None if is_over else self._held)
+        self._history.add(self.figures, now)
+        for course in self._runs.values() if is_over else ():
+            course.release()
 
     def _take_run(self, figures: Figures, now: float) -> None:
         if figures.run not in self._runs and figures.evaluations:
-            self._unasked.add(figures.run)
-        self._runs.setdefault(figures.run, Course(figures)).heard(figures, now)
+            self._unasked[figures.run] = now
+        course = self._runs.setdefault(figures.run, Course(figures))
+        course.heard(figures, now, is_over=bool(last_word(self._told)))
         while len(self._runs) > MOST_RUNS:
-            del self._runs[next(iter(self._runs))]
+            forgotten = min(self._runs, key=lambda run: self._runs[run].rank)
+            self._unasked.pop(forgotten, None)
+            del self._runs[forgotten]
 
     def _take_curve(self, curve: Curve, now: float) -> None:
-        self._unasked.discard(curve.run)
+        self._unasked.pop(curve.run, None)
         if curve.run in self._runs:
             self._runs[curve.run].answered(curve)
 
@@ -179,21 +156,27 @@ class Job:
         """Whether enough is known of it to show it."""
         return self.meta is not None and self.figures is not None
 
-    def questions(self) -> list[str]:
-        """The curves of runs that were not seen from their beginnings on; each is asked for once."""
-        runs, self._unasked = sorted(self._unasked), set()
-        return [self.keys.stat(f"curve/{run}") for run in runs]
+    def questions(self, now: float) -> list[str]:
+        """The curves of runs that were not seen from their beginnings on, now and then until they come.
+
+        Of a run that is over, and of a job of which nothing is heard, nobody would answer.
+        """
+        if now - self.heard_at > SILENCE:
+            return []
+        is_over = {run for run in self._unasked if self._runs[run].figures.finished}
+        self._unasked = {run: at for run, at in self._unasked.items() if run not in is_over}
+        due = sorted(run for run, at in self._unasked.items() if at <= now)
+        self._unasked |= dict.fromkeys(due, now + AGAIN)
+        return [self.keys.stat(f"curve/{run}") for run in (due if len(due) < 2 else "*")]
 
     # What is shown.
 
     def state(self, now: float, *, is_linked: bool = True) -> str:
         """What the job is about, in a word; see `JobView`."""
-        if self.figures and self._gone_at is None and now - self._heard_at <= SILENCE:
+        if self.figures and self._gone_at is None and now - self.heard_at <= SILENCE:
             return self.figures.state
-        if self._is_over:
-            return "ended"
         is_gone = self._gone_at is not None or (is_linked and not self._coordinators)
-        return "gone" if is_gone else "silent"
+        return last_word(self.figures) or ("gone" if is_gone else "silent")
 
     def view(self, now: float, *, is_linked: bool = True) -> JobView | None:
         """The job as it is shown; None while too little is known of it.
@@ -208,25 +191,13 @@ class Job:
         return JobView(
             job=self.name,
             state=self.state(now, is_linked=is_linked),
-            silent=max(0.0, now - self._heard_at),
+            silent=max(0.0, now - self.heard_at),
             meta=self.meta,
             figures=self.figures,
             runs=[course.figures for course in self._runs.values()],
-            workers=[worker for page in self._pages.values() for worker in page],
+            workers=list({each.wid: each for page in self._pages.values() for each in page}.values()),
             events=[self._events[key] for key in sorted(self._events)],
             history=self._history.series,
             histories={run: course.history.series for run, course in self._runs.items()},
             curves={run: course.curve for run, course in self._runs.items()},
         )
-
-    @property
-    def _is_over(self) -> bool:
-        """Whether there was nothing left to do when its coordinator was heard last."""
-        last = self.figures
-        return last is not None and (
-            last.state == "ending" or last.runs_done + last.runs_failed >= last.runs > 0
-        )
-
-
-def _no_points() -> Thinned[Point]:
-    return Thinned(lambda point: point.evaluations, POINTS)

@@ -6,7 +6,8 @@ are to be asked are handed out.
 
 from collections.abc import Mapping
 
-from qdgrasp_coordinator.monitor.job import SILENCE, Job, JobView
+from qdgrasp_coordinator.monitor.job import AGAIN, SILENCE, Job
+from qdgrasp_coordinator.monitor.view import JobView
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of, matches
 
 __all__ = ["JobView", "Jobs"]
@@ -15,7 +16,6 @@ MOST = 64
 """So many jobs are known at most; those that were heard of last."""
 ALL = ""
 """Stands for all jobs there are."""
-AGAIN = 5.0  # seconds until a question that had no answer is asked again
 
 
 class Jobs:
@@ -45,9 +45,9 @@ class Jobs:
                 self._due.setdefault(job.name, now)
 
     def answered(self, values: Mapping[str, bytes], now: float) -> None:
-        """Take the answers to a question, by their keys."""
-        curve = AnyJob().stat("curve/*")
-        for key in sorted(values, key=lambda key: matches(curve, key)):  # curves behind the runs they are of
+        """Take the answers to a question, by their keys: whose they are first, curves behind their runs."""
+        curve, meta = AnyJob().stat("curve/*"), AnyJob().meta
+        for key in sorted(values, key=lambda key: (not matches(meta, key), matches(curve, key))):
             if job := self._job(key):
                 job.heard(key, values[key], now)
         known = {job.name for job in self._jobs.values() if job.is_known}
@@ -79,9 +79,10 @@ class Jobs:
         unknown = {name for name, job in self._jobs.items() if not job.is_known and due & {name, ALL}}
         self._due = {name: at for name, at in self._due.items() if name not in due}
         self._due |= dict.fromkeys(unknown, now + AGAIN)
-        curves = [key for job in self._jobs.values() for key in job.questions()]
-        asked: list[Keys] = [self._keys] if ALL in due else [Keys(name) for name in sorted(due)]
-        return [pattern for keys in asked for pattern in patterns(keys)] or curves
+        whose: list[Keys] = [self._keys] if ALL in due else [Keys(name) for name in sorted(due)]
+        asked = [pattern for keys in whose for pattern in patterns(keys)]
+        curves = [key for job in self._jobs.values() for key in job.questions(now)]
+        return asked + [key for key in curves if not any(matches(pattern, key) for pattern in asked)]
 
     # What is shown.
 
@@ -101,14 +102,14 @@ class Jobs:
         if name is None:
             return None
         if name not in self._jobs:
+            self._make_room()
             self._jobs[name] = Job(name)
-            self._forget()
         return self._jobs[name]
 
-    def _forget(self) -> None:
-        """Forget the job that was heard of first, where there are too many."""
-        if len(self._jobs) > MOST:
-            del self._jobs[next(iter(self._jobs))]
+    def _make_room(self) -> None:
+        """Forget the job of which nothing was heard for longest, where there is no room for another."""
+        if len(self._jobs) >= MOST:
+            del self._jobs[min(self._jobs, key=lambda name: self._jobs[name].heard_at)]
 
 
 def patterns(keys: Keys) -> list[str]:

@@ -6,7 +6,6 @@ a unit stands before that. What comes from elsewhere is a label's value, never a
 written where its figure is defined (`counts`).
 """
 
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,16 +21,16 @@ from qdgrasp_coordinator.counts.events import Event
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta
 from qdgrasp_coordinator.counts.meanings import meanings
 from qdgrasp_coordinator.counts.team import WorkerFigures
-from qdgrasp_coordinator.monitor.jobs import JobView
-from qdgrasp_coordinator.monitor.ratchet import Ratchet
+from qdgrasp_coordinator.monitor.view import OVER, JobView
 
 MOST_RUNS = 256
-"""So many runs of a job have series of their own: those that were heard of last."""
+"""So many runs of a job have series of their own: those in progress first, then those heard of last."""
 MOST_WORKERS = 512
 """So many workers of a job have: those that joined first. `qdgrasp_workers` counts them all."""
-STATES = ("starting", "running", "paused", "ending", "silent", "gone", "ended")
-"""Of a job: see `JobView`. In the last three nobody speaks for it."""
-QUIET = STATES[4:]
+QUIET = ("silent", *OVER)
+"""The states of a job that nobody speaks for."""
+STATES = ("starting", "running", "paused", "ending", *QUIET)
+"""Of a job: see `JobView`."""
 KIND = ("gripper", "object", "method", "protocol", "seed")
 """What a run is named for."""
 TEAM = ("job", "host", "state")
@@ -121,23 +120,9 @@ WORKER = Subject("worker", ("job", "worker", "host"), WorkerFigures, (
 ))  # fmt: skip
 
 
-class Metrics:
-    """What a monitor tells Prometheus.
-
-    Counts go on where another coordinator goes on with a job: they do not fall by what its predecessor had
-    not recorded, nor while it opens the job's runs again one by one.
-    """
-
-    def __init__(self) -> None:
-        counts = [one.field for one in RUN.shown if one.family is CounterMetricFamily]
-        self._ratchet = Ratchet(["outcomes", *counts])
-        self._turn = threading.Lock()
-
-    def text(self, views: Sequence[JobView]) -> tuple[bytes, str]:
-        """What is known of jobs, in the text format of Prometheus, and its content type; for any thread."""
-        with self._turn:
-            raised = self._ratchet.raised(views)
-        return generate_latest(Overview(raised)), CONTENT_TYPE_PLAIN_0_0_4
+def exposition(views: Sequence[JobView]) -> tuple[bytes, str]:
+    """What is known of jobs, in the text format of Prometheus, and its content type."""
+    return generate_latest(Overview(views)), CONTENT_TYPE_PLAIN_0_0_4
 
 
 class Overview(Collector):
@@ -146,7 +131,7 @@ class Overview(Collector):
     def __init__(self, views: Sequence[JobView]) -> None:
         self._views = views
         self._heard = [view for view in views if view.state not in QUIET]
-        self._runs = [((view.job, run.run), run) for view in views for run in view.runs[-MOST_RUNS:]]
+        self._runs = [((view.job, run.run), run) for view in views for run in view.foremost(MOST_RUNS)]
 
     def collect(self) -> Iterator[Metric]:
         """All metrics: those of jobs, of runs, of workers."""
@@ -160,7 +145,7 @@ class Overview(Collector):
         yield from WORKER.metrics(
             ((view.job, each.wid, each.host), each)
             for view in self._heard
-            for each in _members(view)[:MOST_WORKERS]
+            for each in view.workers[:MOST_WORKERS]
         )
 
     def _turns(self) -> Iterator[Metric]:
@@ -209,7 +194,7 @@ class Overview(Collector):
 
     def _team(self) -> Metric:
         """All workers, whatever their number."""
-        counts = Counter((view.job, each.host, each.state) for view in self._heard for each in _members(view))
+        counts = Counter((view.job, each.host, each.state) for view in self._heard for each in view.workers)
         samples = [(labels, float(n)) for labels, n in counts.items()]
         words = meanings(WorkerFigures)["state"]
         return metric(GaugeMetricFamily, "workers", f"Workers on a host: {words}", TEAM, samples)
@@ -217,11 +202,6 @@ class Overview(Collector):
     def _gauge(self, name: str, words: str, value: Callable[[JobView], float], unit: str = "") -> Metric:
         samples = [((view.job,), float(value(view))) for view in self._views]
         return metric(GaugeMetricFamily, name, words, ("job",), samples, unit)
-
-
-def _members(view: JobView) -> list[WorkerFigures]:
-    """The workers of a job, each once: on its way to another page one may stand on both."""
-    return list({each.wid: each for each in view.workers}.values())
 
 
 def _runs(job: JobFigures) -> Iterator[tuple[str, int]]:

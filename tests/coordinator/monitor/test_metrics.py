@@ -8,13 +8,13 @@ import pytest
 from msgspec import structs
 from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
-from tests.coordinator.monitor.shown import event, figures, meta, run, values, views, worker
+from tests.coordinator.monitor.shown import event, figures, run, values, views, worker
 
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures
 from qdgrasp_coordinator.counts.meanings import meanings
 from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.monitor.jobs import JobView
-from qdgrasp_coordinator.monitor.metrics import MOST_RUNS, MOST_WORKERS, STATES, Metrics
+from qdgrasp_coordinator.monitor.metrics import MOST_RUNS, MOST_WORKERS, STATES, exposition
 from qdgrasp_protocol.outcome import Outcome
 
 STRANGE = 'a "quoted"\\ name\nof two lines, {labelled="so"} # HELP'
@@ -30,7 +30,7 @@ def job() -> JobView:
 
 
 def text(*jobs: JobView) -> str:
-    return Metrics().text(jobs)[0].decode()
+    return exposition(jobs)[0].decode()
 
 
 def read(text: str) -> dict[str, Metric]:
@@ -133,13 +133,7 @@ def test_the_number_of_series_is_bounded_and_all_workers_are_counted(job: JobVie
     assert sum(value for key, value in told.items() if key[0] == "qdgrasp_workers") == len(many)
 
 
-def test_a_worker_on_two_pages_is_told_once(job: JobView) -> None:
-    told = samples(text(structs.replace(job, workers=[worker(3, rows=1), worker(4), worker(3, rows=2)])))
-    assert told["qdgrasp_worker_rows_total", "n3", "mugs", f"{3:032x}"] == 2
-    assert sum(value for key, value in told.items() if key[0] == "qdgrasp_workers") == 2
-
-
-@pytest.mark.parametrize("state", ["silent", "gone", "ended"])
+@pytest.mark.parametrize("state", ["silent", "gone", "ended", "cancelled"])
 def test_of_a_job_that_nobody_speaks_for_only_counts_are_left(job: JobView, state: str) -> None:
     told = samples(text(structs.replace(job, state=state)))
     assert told["qdgrasp_up", "mugs"] == 0
@@ -158,65 +152,7 @@ def test_several_jobs_stand_side_by_side() -> None:
 
 
 def test_the_content_type_is_that_of_the_format() -> None:
-    assert Metrics().text([])[1] == "text/plain; version=0.0.4; charset=utf-8"
-
-
-class TestRatchet:
-    """Counts where another coordinator goes on, or another job begins."""
-
-    @staticmethod
-    def told(epoch: int, count: int, since: int = 0, **more: object) -> JobView:
-        (view,) = views(values())
-        began = view.meta.since.replace(second=since)
-        return structs.replace(
-            view,
-            meta=structs.replace(meta(epoch=epoch), since=began),
-            figures=figures(evaluations=count, requeued=count, **more),
-            runs=[run("a", evaluations=count, outcomes=dict.fromkeys(OUTCOMES, count))],
-        )
-
-    @staticmethod
-    def counted(metrics: Metrics, view: JobView) -> set[float]:
-        told = samples(metrics.text([view])[0].decode())
-        job = told["qdgrasp_job_evaluations_total", "mugs"]
-        return {
-            job,
-            told["qdgrasp_run_evaluations_total", "mugs", "a"],
-            told["qdgrasp_run_outcomes_total", "mugs", "held", "a"],
-        }
-
-    def test_counts_wait_where_a_coordinator_that_goes_on_is_behind(self) -> None:
-        metrics = Metrics()
-        found = [
-            self.counted(metrics, self.told(*one))
-            for one in [(1, 500), (2, 300, 1), (2, 499, 1), (2, 501, 1)]
-        ]
-        assert found == [{500}, {500}, {500}, {501}]
-
-    def test_counts_wait_before_the_next_coordinator_has_its_turn(self) -> None:
-        metrics = Metrics()
-        found = [self.counted(metrics, self.told(*one)) for one in [(1, 500), (0, 0, 1), (2, 100, 1)]]
-        assert found == [{500}, {500}, {500}]
-
-    def test_another_job_of_the_same_name_begins_anew(self) -> None:
-        metrics = Metrics()
-        found = [self.counted(metrics, self.told(*one)) for one in [(1, 500), (0, 0, 1), (1, 100, 1)]]
-        assert found == [{500}, {500}, {100}]
-
-    def test_what_is_over_is_told_as_it_is(self) -> None:
-        metrics = Metrics()
-        self.counted(metrics, self.told(1, 500))
-        over = structs.replace(self.told(2, 100, 1, runs=1, runs_open=0, runs_done=1), runs=[])
-        over.runs.append(
-            run("a", evaluations=100, outcomes=dict.fromkeys(OUTCOMES, 100), finished="all are spent")
-        )
-        assert self.counted(metrics, over) == {100}
-
-    def test_what_a_coordinator_counts_of_itself_begins_anew(self) -> None:
-        metrics = Metrics()
-        for view in (self.told(1, 500), self.told(2, 300, 1)):
-            told = samples(metrics.text([view])[0].decode())
-        assert told["qdgrasp_job_requeued_batches_total", "mugs"] == 300
+    assert exposition([])[1] == "text/plain; version=0.0.4; charset=utf-8"
 
 
 @pytest.mark.skipif(PROMTOOL is None, reason="promtool (Debian's package prometheus) is not here")

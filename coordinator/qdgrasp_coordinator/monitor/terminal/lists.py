@@ -10,15 +10,15 @@ from rich.text import Text
 from qdgrasp_coordinator.counts.events import Event
 from qdgrasp_coordinator.counts.figures import Figures
 from qdgrasp_coordinator.counts.team import WorkerFigures
-from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.series import Series
 from qdgrasp_coordinator.monitor.terminal.glyphs import Glyphs
 from qdgrasp_coordinator.monitor.terminal.table import Column, Lines, fit, table
 from qdgrasp_coordinator.monitor.terminal.words import count, part, short, size, span
+from qdgrasp_coordinator.monitor.view import OVER, JobView
 
 STYLES = {
     "starting": "cyan", "running": "green", "paused": "yellow", "ending": "cyan",
-    "silent": "bold yellow", "gone": "bold red", "ended": "dim",
+    "silent": "bold yellow", "gone": "bold red", "ended": "dim", "cancelled": "dim",
     "working": "", "idle": "dim", "stuck": "bold yellow", "leaving": "cyan",
     "job": "cyan", "run": "green", "trouble": "bold yellow", "error": "bold red",
 }  # fmt: skip
@@ -54,7 +54,7 @@ def state(view: JobView) -> str:
 def left(view: JobView) -> str:
     """The time that a job still takes, at its speed so far."""
     figures = view.figures
-    if figures.rate <= 0 or view.state in ("gone", "ended"):
+    if figures.rate <= 0 or view.state in OVER:
         return "-"
     return span(figures.remaining / figures.rate)
 

@@ -7,12 +7,12 @@ from rich.text import Text
 
 from qdgrasp_coordinator.counts.curve import Point
 from qdgrasp_coordinator.counts.figures import JobFigures
-from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.terminal.glyphs import Glyphs
 from qdgrasp_coordinator.monitor.terminal.lists import latest
 from qdgrasp_coordinator.monitor.terminal.plot import plot
 from qdgrasp_coordinator.monitor.terminal.table import Lines, fit
 from qdgrasp_coordinator.monitor.terminal.words import count, part, short, span
+from qdgrasp_coordinator.monitor.view import OVER, JobView
 
 COLOURS = ("bright_black", "red", "yellow", "magenta", "cyan", "green")
 """Of the stages, beside what fills them."""
@@ -34,7 +34,7 @@ class Drawing(NamedTuple):
 def progress(view: JobView, width: int, glyphs: Glyphs) -> Text:
     """How far the job is, as a bar."""
     figures = view.figures
-    words = f" {part(figures.done, 1.0)}  {figures.left if view.state not in ('gone', 'ended') else view.state}"
+    words = f" {part(figures.done, 1.0)}  {view.state if view.state in OVER else figures.left}"
     room = max(4, width - len(words))
     full = int(figures.done * room)
     bar = Text(glyphs.full * full, style="green", no_wrap=True)
@@ -109,20 +109,23 @@ def parted(numbers: Sequence[int], width: int) -> list[int]:
 
 
 def drawings(view: JobView) -> list[Drawing]:
-    """The curves of a job: of its one run from the beginning, of many since somebody watches."""
+    """The curves of a job: of its one run from the beginning on, of many since somebody watches.
+
+    Runs that are opened again one by one have fewer evaluations meanwhile: many are drawn over time.
+    """
     history = view.history
+    ago = f"{span(history.at[-1] - history.at[0])} ago" if history.at else ""
     curve = view.curves.get(view.runs[-1].run) if view.runs and view.figures.runs == 1 else None
     if curve:
         begun = [Point(0, 0, 0, 0, 0), *curve.points]
-        evaluations = [point.evaluations for point in begun]
+        places: Sequence[float] = [point.evaluations for point in begun]
         cells, successes = [point.cells for point in begun], [point.successes for point in begun]
+        ends = ("0", f"{count(places[-1])} evaluations")
     else:
-        evaluations, cells, successes = history.evaluations, history.cells, history.successes
-    ends = (count(evaluations[0]), f"{count(evaluations[-1])} evaluations") if evaluations else ("", "")
-    ago = f"{span(history.at[-1] - history.at[0])} ago" if history.at else ""
+        places, cells, successes, ends = history.at, history.cells, history.successes, (ago, "now")
     return [
-        Drawing("cells", evaluations, cells, *ends, "green"),
-        Drawing("successes", evaluations, successes, *ends, "cyan"),
+        Drawing("cells", places, cells, *ends, "green"),
+        Drawing("successes", places, successes, *ends, "cyan"),
         Drawing("evaluations/s", history.at, history.rate, ago, "now", "yellow"),
     ]
 
@@ -164,9 +167,10 @@ def hindrance(view: JobView, glyphs: Glyphs) -> str:
         "gone": f"its coordinator is gone since {span(view.silent)}: `qdgrasp resume DIR` goes on",
         "silent": f"nothing was heard of it for {span(view.silent)}: what is shown is what was heard last",
         "ended": "it has ended",
+        "cancelled": "it was ended before it was done: `qdgrasp resume DIR` goes on",
         "paused": f"paused until `qdgrasp continue {view.job}`",
     }
-    if view.state in ("gone", "silent", "ended"):
+    if view.state in ("silent", *OVER):
         return words[view.state]
     if one.obstacle:
         return f"waits: {glyphs.text(one.obstacle)}"
@@ -182,4 +186,4 @@ def hindrance(view: JobView, glyphs: Glyphs) -> str:
 
 def _hindrance_style(view: JobView) -> str:
     is_bad = view.state in ("gone", "silent", "paused") or view.figures.obstacle or not view.figures.recorders
-    return "bold yellow" if is_bad and view.state != "ended" else "dim"
+    return "bold yellow" if is_bad and view.state not in ("ended", "cancelled") else "dim"

@@ -13,7 +13,7 @@ from qdgrasp_coordinator.counts.events import Event
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta
 from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.monitor.jobs import JobView
-from qdgrasp_coordinator.monitor.metrics import Metrics
+from qdgrasp_coordinator.monitor.metrics import exposition
 from qdgrasp_coordinator.monitor.series import Series
 from qdgrasp_protocol.errors import UnknownName
 
@@ -21,7 +21,7 @@ FRESH = 0.2  # seconds in which what was seen is not looked at again
 MOST_WORKERS = 512
 """So many workers of a job are listed, those in trouble first; all are counted."""
 MOST_RUNS = 256
-"""So many runs of a job are listed, those that began last."""
+"""So many runs of a job are listed: those in progress first, then those that were heard of last."""
 URGENCY = ("stuck", "gone", "leaving", "working", "idle")
 """The states of workers, those in trouble first."""
 
@@ -78,7 +78,7 @@ class JobState(Struct, frozen=True, kw_only=True):
     @classmethod
     def of(cls, view: JobView) -> "JobState":
         """That of a job."""
-        runs = view.runs[-MOST_RUNS:]
+        runs = view.foremost(MOST_RUNS)
         return cls(
             job=view.job,
             state=view.state,
@@ -121,7 +121,6 @@ class Showing:
 
     def __init__(self, watched: Watched) -> None:
         self._watched = watched
-        self._metrics = Metrics()
         self._lock = threading.Lock()
         self._views: list[JobView] = []
         self._looked = float("-inf")
@@ -148,7 +147,7 @@ class Showing:
 
     def metrics(self) -> tuple[bytes, str]:
         """The same for Prometheus, and its content type."""
-        return self._metrics.text(self.views())
+        return exposition(self.views())
 
     def views(self) -> list[JobView]:
         """The jobs as they are now, or were a moment ago."""

@@ -42,11 +42,13 @@ def test_a_bar_is_full_when_the_budget_is_spent(evaluations: int, full: float) -
     assert words.count("#") == int(full * marks)
 
 
-def test_a_run_is_drawn_from_its_beginning_and_many_runs_since_somebody_watches() -> None:
+def test_a_run_is_drawn_over_evaluations_and_many_runs_over_time() -> None:
     alone, many = drawings(job(runs=1)), drawings(job(runs=3))
     assert [one.title for one in alone] == ["cells", "successes", "evaluations/s"]
     assert (alone[0].places[0], alone[0].values[0], alone[0].values[-1]) == (0, 0, 498)
-    assert many[0].places[0] == 83
+    assert [one.places[0] for one in many] == [1001.0] * 3
+    assert [(one.first, one.last) for one in many] == [("4:59 ago", "now")] * 3
+    assert all(list(one.places) == sorted(one.places) for one in many)
 
 
 @pytest.mark.parametrize(
