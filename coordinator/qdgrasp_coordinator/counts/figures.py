@@ -128,7 +128,7 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     trouble: str = ""
     """What keeps the job from going on, in words; empty when nothing does."""
     state: str = "running"
-    """"starting" (no recorder has answered yet), "running", "paused" or "ending"."""
+    """"starting" (no recorder has answered yet), "running", "paused", "ending", or at last "cancelled"."""
     recorders: int = 0
     """Recorders of this job that are there."""
 

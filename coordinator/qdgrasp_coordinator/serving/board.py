@@ -43,6 +43,8 @@ class Board:
     def __init__(self, bus: Bus, job: str, lanes: Lanes, turn: Callable[[], Turn]) -> None:
         self.chronicle = Chronicle(self._publish_event)
         """What has happened."""
+        self.is_cancelled = False
+        """Whether the job ends here, before it is done: somebody wants it, or its time is over."""
         self._bus = bus
         self._job = job
         self._keys = Keys(job)
@@ -68,7 +70,7 @@ class Board:
         found = self._lanes.figures(self._job, turn.dispatch.workers, now)
         return msgspec.structs.replace(
             found,
-            state=state_of(turn),
+            state="cancelled" if self.is_cancelled else state_of(turn),
             recorders=len(self._recorders),
             requeued=turn.dispatch.counters["requeued"],
             strays=turn.dispatch.strays,

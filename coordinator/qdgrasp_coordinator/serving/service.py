@@ -120,6 +120,7 @@ class CoordinatorService:
                 self._step()
                 look(time.monotonic())
             reason = str("asked to stop" if self._stop.is_set else self._ending.reason or "done")
+            self._board.is_cancelled = self._has_ended and not (self._stop.is_set or self._lanes.are_done)
             self._board.publish(time.monotonic())
             self._note("job", f"The coordinator ends: {reason.rstrip('.')}.")
         dropped = self._turn.drops.count

@@ -2,11 +2,14 @@
 
 import json
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 from tests.coordinator.runs.plans import Plan, reference
 from tests.coordinator.serving.served import JOB, PLANS, SOON, Job, Pretender, Slow, until
 
+from qdgrasp_coordinator.counts.figures import JobFigures, from_json
 from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.overview import overview
 from qdgrasp_protocol import codec
@@ -27,6 +30,13 @@ def tell(bus: Bus, act: str, **whom: str) -> str:
 def shown(bus: Bus) -> JobView:
     (view,) = overview(bus)
     return view
+
+
+@contextmanager
+def last_words(bus: Bus) -> Iterator[Callable[[], list[str]]]:
+    """The states that a coordinator told of, the latest last."""
+    with bus.ring(Keys(JOB).stat("job"), 64) as ring:
+        yield lambda: [from_json(sample.payload, JobFigures).state for sample in ring.take()]
 
 
 def test_a_pause_changes_nothing_that_is_found() -> None:
@@ -63,11 +73,12 @@ def test_nothing_is_handed_out_while_a_job_is_paused() -> None:
 def test_a_cancelled_job_ends_with_what_it_has_and_takes_back_what_is_out() -> None:
     job = Job({"run-0": LONG})
     worker = Pretender(job.network.session(), ANN, answers=False)
-    with job.serving() as service, job.network.session() as bus, worker.at_work():
+    with job.serving() as service, job.network.session() as bus, worker.at_work(), last_words(bus) as told:
         assert worker.kept.wait(SOON)
         assert "ends" in tell(bus, "cancel")
         service.join(SOON)
         assert not service.is_alive()
+        assert told()[-1] == "cancelled"
     assert isinstance(job.error, Cancelled)
     assert (str(job.error), job.error.exit_code) == (f"Job '{JOB}' was cancelled.", 0)
     assert worker.controls[-1].drop

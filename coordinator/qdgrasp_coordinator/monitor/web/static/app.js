@@ -26,7 +26,7 @@ let state = null;
 /** The chosen job; the first that goes on where none is chosen. */
 function chosen(jobs) {
   if (choice.job) return jobs.find(({ job }) => job === choice.job);
-  return jobs.find((each) => !["ended", "gone"].includes(each.state)) ?? jobs[0];
+  return jobs.find((each) => !["ended", "cancelled", "gone"].includes(each.state)) ?? jobs[0];
 }
 
 function show() {

@@ -81,7 +81,7 @@ function make() {
 }
 
 function isOver(job, run) {
-  return Boolean(run?.finished) || ["ended", "gone"].includes(job.state);
+  return Boolean(run?.finished) || ["ended", "cancelled", "gone"].includes(job.state);
 }
 
 function hosts({ team }) {
