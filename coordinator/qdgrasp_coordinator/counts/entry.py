@@ -56,6 +56,8 @@ class RunEntry(Struct, frozen=True, kw_only=True):
     """Genomes by how their nominal evaluation ended: each `Outcome` by its name in lower case."""
     finished: str = ""
     """Why the run is over, in words; empty while it is not."""
+    folder: str = ""
+    """Its folder on the recorder's machine, absolute; empty where a coordinator tells of it."""
 
     @classmethod
     def of(cls, run: str, spec: RunSpec, scene: str, found: Tally) -> "RunEntry":
@@ -95,3 +97,5 @@ class RunEntries(Struct, frozen=True, kw_only=True):
     """Ask with `from=<next>` for the runs behind these; 0: there are none."""
     uncounted: int = 0
     """Runs left out because their rows are still being counted: ask again in a while."""
+    host: str = ""
+    """The recorder's machine."""

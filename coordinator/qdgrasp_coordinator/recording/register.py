@@ -1,11 +1,13 @@
 """The register: entries of all runs in a job's folder, counted bit by bit from their journals."""
 
+import socket
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+from msgspec.structs import replace
 
 from qdgrasp_coordinator.campaigns.summary import Summary
 from qdgrasp_coordinator.counts.entry import PAGE, RunEntries, RunEntry
@@ -56,11 +58,13 @@ class Register:
                 suppress(FolderError),
                 Journal.open(path) as journal,
             ):  # there may be none yet, or no good one
-                entries.append(told(journal) if journal.sources else self._counted(path, journal))
+                entry = told(journal) if journal.sources else self._counted(path, journal)
+                entries.append(entry and replace(entry, folder=str(path.absolute())))
         return RunEntries(
             runs=[entry for entry in entries if entry is not None],
             next=first + PAGE if first + PAGE < len(paths) else 0,
             uncounted=entries.count(None),
+            host=socket.gethostname(),
         )
 
     def _counted(self, path: Path, journal: Journal) -> RunEntry | None:

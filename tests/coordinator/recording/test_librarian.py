@@ -1,5 +1,6 @@
 """What a recorder shows to those who watch."""
 
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,14 @@ def test_entries_count_what_is_recorded_of_each_run(
         counted = register.Register(path).page(0).runs[0]
         assert (journal.count, later.rows) == (400, 400)
     assert asdict(later) == asdict(counted)
+
+
+def test_it_is_told_where_runs_lie(network: LocalNetwork, coordinator: Coordinator, path: Path) -> None:
+    with recording(network, path):
+        coordinator.open_runs("a", "b")
+        told = entries(network)
+    assert told.host == socket.gethostname()
+    assert [Path(run.folder) for run in told.runs] == [path / "runs" / "a", path / "runs" / "b"]
 
 
 def test_runs_are_counted_a_few_rows_at_a_time_and_left_out_until_they_are(
