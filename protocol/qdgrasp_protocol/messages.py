@@ -217,6 +217,10 @@ class Finds(Message, frozen=True, kw_only=True):
     """The answer to a query on `rec/finds`: successes of a run in journal order."""
 
     run: Name
+    scene: Digest
+    """sha256 of the run's scene bundle."""
+    began: float
+    """When the journal was begun [s since 1970]: another one of the same name has other rows."""
     next: Count
     """The journal number from which to ask on."""
     rows: Count

@@ -106,7 +106,11 @@ def seeds() -> dict[str, bytes]:
             "columns": pack(rows, COLUMNS),
             "failures": [messages.Failure(row=0, reason="x")],
         },
-        messages.Finds: {"columns": found.to_message(drawn, "run", 1, 1, SHAPE.joints).columns},
+        messages.Finds: {
+            "columns": found.to_message(
+                drawn, 1, run="run", scene="", began=0.0, rows=1, joints=SHAPE.joints
+            ).columns
+        },
         messages.Open: {
             "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
         },

@@ -48,10 +48,21 @@ def found(rows: Rows, numbers: NDArray[np.integer], joints: int) -> Found:
     return finds
 
 
-def to_message(finds: Found, run: str, upto: int, rows: int, joints: int) -> Finds:
-    """Finds as they travel: those of a run up to row `upto` of the `rows` that there are."""
+def to_message(
+    finds: Found, upto: int, *, run: str, scene: str, began: float, rows: int, joints: int
+) -> Finds:
+    """Finds as they travel: those up to row `upto` of the journal that the others describe."""
     columns = {column.name: np.ascontiguousarray(finds[column.name]).tobytes() for column in COLUMNS}
-    return Finds(run=run, next=upto, rows=rows, n=len(finds), joints=joints, columns=columns)
+    return Finds(
+        run=run,
+        scene=scene,
+        began=began,
+        next=upto,
+        rows=rows,
+        n=len(finds),
+        joints=joints,
+        columns=columns,
+    )
 
 
 def from_message(message: Finds) -> Found:

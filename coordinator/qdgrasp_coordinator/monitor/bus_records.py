@@ -5,10 +5,10 @@ import msgspec
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.finds import from_message
-from qdgrasp_coordinator.monitor.records import Page
+from qdgrasp_coordinator.monitor.records import Origin, Page
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import MessageError, UnknownName
+from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Finds
 
@@ -19,39 +19,30 @@ class BusRecords:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
 
-    def scene(self, job: str, run: str) -> Scene:
+    def scene(self, job: str, run: str, digest: str) -> Scene:
         """Of the bundle that the recorder has."""
-        digest = self._digest(job, run)
         return unpack_scene(chunks.gather(self._bus, Keys(job).recorded_asset(digest), digest))
 
     def page(self, job: str, run: str, first: int) -> Page:
         """One answer of the recorder's."""
         payload = self._bus.ask(Keys(job).finds, parameters=f"run={run}&from={first}")
         message = codec.decode(payload, Finds)
-        return Page(from_message(message), message.next, message.rows)
+        return Page(Origin(message.scene, message.began), from_message(message), message.next, message.rows)
 
-    def entries(self, job: str) -> list[RunEntry]:
-        """All pages of the recorder's list; rows are counted as it is asked, half a million at a time."""
-        runs: list[RunEntry] = []
-        first: int | None = 0
-        while first is not None:
+    def entries(self, job: str) -> RunEntries:
+        """All pages of the recorder's list, as far as it has counted."""
+        first, uncounted, runs = 0, 0, list[RunEntry]()
+        while True:
             page = self._entries(job, first)
-            if page.uncounted:
-                continue
             runs += page.runs
-            first = page.next if page.next > first else None
-        return runs
+            uncounted += page.uncounted
+            if page.next <= first:
+                return RunEntries(runs=runs, uncounted=uncounted)
+            first = page.next
 
     def name(self, job: str, run: str) -> str:
         """Its name: in which folder it lies is not told on the bus."""
         return run
-
-    def _digest(self, job: str, run: str) -> str:
-        """The scene of a run."""
-        scenes = {entry.run: entry.scene for entry in self.entries(job)}
-        if run not in scenes:
-            raise UnknownName("run", run, scenes)
-        return scenes[run]
 
     def _entries(self, job: str, first: int) -> RunEntries:
         answer = self._bus.ask(Keys(job).entries, parameters=f"from={first}")

@@ -4,12 +4,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.counts.entry import RunEntry
+from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.tally import tally
 from qdgrasp_coordinator.folders import journal_finds
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
-from qdgrasp_coordinator.monitor.records import Page
+from qdgrasp_coordinator.monitor.records import Origin, Page
 from qdgrasp_protocol.errors import UnknownName
 
 
@@ -31,18 +31,19 @@ class FolderRecords:
         """The names of each job's runs."""
         return {job: [RunFolder(path).run for path in self._jobs[job].run_paths] for job in self._jobs}
 
-    def scene(self, job: str, run: str) -> Scene:
+    def scene(self, job: str, run: str, digest: str) -> Scene:
         """Of the bundle in the run's folder."""
         return self._folder(job, run).scene()
 
     def page(self, job: str, run: str, first: int) -> Page:
         """From the journal as it is now."""
         with self._folder(job, run).journal() as journal:
-            return Page(*journal_finds.page(journal, first), journal.count)
+            origin = Origin(journal.scene, journal.created)
+            return Page(origin, *journal_finds.page(journal, first), journal.count)
 
-    def entries(self, job: str) -> list[RunEntry]:
+    def entries(self, job: str) -> RunEntries:
         """Counted from the journals as they are now."""
-        return [_entry(self._folder(job, run)) for run in self.runs.get(job, [])]
+        return RunEntries(runs=[_entry(self._folder(job, run)) for run in self.runs.get(job, [])])
 
     def name(self, job: str, run: str) -> str:
         """The path of its folder."""

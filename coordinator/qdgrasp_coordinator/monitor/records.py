@@ -1,17 +1,28 @@
 """Records: what was found in the runs of jobs, and on what; over the bus or from a folder."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.counts.entry import RunEntry
+from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found
+
+
+class Origin(NamedTuple):
+    """Which journal it is: in another one of the same names, the same numbers are of other rows."""
+
+    scene: str
+    """sha256 of the scene bundle."""
+    began: float
+    """When it was begun [s since 1970]."""
 
 
 @dataclass(frozen=True)
 class Page:
     """Nominal successes of a run, in journal order."""
 
+    origin: Origin
+    """The journal they are from."""
     found: Found
     """(n,)."""
     next: int
@@ -31,14 +42,14 @@ class Records(Protocol):
         From any method: nobody answers, or not as agreed.
     """
 
-    def scene(self, job: str, run: str) -> Scene:
-        """What a run grasps, and with which hand."""
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        """What a run grasps, and with which hand: the scene that `page` told of."""
 
     def page(self, job: str, run: str, first: int) -> Page:
         """Some successes of a run from journal number `first` on; more by asking again with `next`."""
 
-    def entries(self, job: str) -> list[RunEntry]:
-        """The runs of a job, finished ones too."""
+    def entries(self, job: str) -> RunEntries:
+        """The runs of a job, finished ones too; those that are not counted yet are left out for now."""
 
     def name(self, job: str, run: str) -> str:
         """What commands call the run."""

@@ -5,12 +5,14 @@ it.
 """
 
 import re
+import threading
+from collections import OrderedDict
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Self
 
 from qdgrasp_coordinator.counts.figures import to_json
-from qdgrasp_coordinator.counts.finds import to_message
+from qdgrasp_coordinator.counts.finds import Found, to_message
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
@@ -20,6 +22,10 @@ from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus, Query
 from qdgrasp_protocol.errors import FolderError, Refused
 from qdgrasp_protocol.keys import NAME, Keys, last_chunk, number
+from qdgrasp_protocol.messages import Finds
+
+SCENES = 8
+"""So many scenes are kept in memory."""
 
 
 class Librarian:
@@ -36,7 +42,9 @@ class Librarian:
         self._keys = Keys(job)
         self._path = path
         self._register = Register(path)
-        self._scene = (b"", "")  # the one that was asked for last, and its digest
+        self._lock = threading.Lock()
+        self._scenes: OrderedDict[str, bytes] = OrderedDict()  # by digest, as they were asked for
+        self._homes: dict[str, Path] = {}  # where scenes were seen
         self._doors = ExitStack()
 
     def __enter__(self) -> Self:
@@ -69,8 +77,8 @@ class Librarian:
             raise Refused(f"this recorder has no run '{run[:64]}'")
         try:
             with Journal.open(path) as journal:
-                finds, upto = page(journal, _number(query, "from"))
-                return codec.encode(to_message(finds, run, upto, journal.count, journal.shape.joints))
+                self._homes[journal.scene] = path
+                return codec.encode(_told(journal, run, *page(journal, _number(query, "from"))))
         except FolderError as error:
             raise Refused(str(error)) from None
 
@@ -83,19 +91,38 @@ class Librarian:
             No run here has this scene.
         """
         digest = last_chunk(query.key)
-        if self._scene[1] != digest:
-            self._scene = (self._bundle(digest), digest)
-        return chunks.answer(query, self._scene[0], digest)
+        return chunks.answer(query, self._bundle(digest), digest)
 
     def _bundle(self, digest: str) -> bytes:
+        """The bytes of a scene; those that were asked for last are kept."""
+        with self._lock:
+            payload = self._scenes.pop(digest, None) or self._read(digest)
+            self._scenes[digest] = payload
+            if len(self._scenes) > SCENES:
+                self._scenes.popitem(last=False)
+            return payload
+
+    def _run_paths(self) -> list[Path]:
+        return JobFolder(self._path).run_paths if JobFolder.is_job(self._path) else []
+
+    def _read(self, digest: str) -> bytes:
         """The bytes of a scene, from the folder of any run that has it."""
-        for path in JobFolder(self._path).run_paths if JobFolder.is_job(self._path) else []:
+        seen = [self._homes[digest]] if digest in self._homes else []
+        for path in seen + self._run_paths():
             with suppress(FolderError):
                 with Journal.open(path) as journal:
                     is_its = journal.scene == digest
                 if is_its and (bundle := RunFolder(path).bundle()).digest == digest:
                     return bundle.payload
         raise Refused(f"no run here has the scene {digest[:12]}")
+
+
+def _told(journal: Journal, run: str, finds: Found, upto: int) -> Finds:
+    """Some finds of a journal as they travel."""
+    joints, began = journal.shape.joints, journal.created
+    return to_message(
+        finds, upto, run=run, scene=journal.scene, began=began, rows=journal.count, joints=joints
+    )
 
 
 def _parameters(query: Query) -> dict[str, str]:

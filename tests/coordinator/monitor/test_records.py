@@ -12,6 +12,7 @@ from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.monitor.bus_records import BusRecords
 from qdgrasp_coordinator.monitor.folder_records import FolderRecords
 from qdgrasp_coordinator.monitor.records import Records
+from qdgrasp_coordinator.recording import register
 from qdgrasp_coordinator.recording.librarian import Librarian
 from qdgrasp_protocol.errors import FolderError, QdgraspError
 from qdgrasp_protocol.local_bus import LocalNetwork
@@ -34,7 +35,10 @@ def records(request: pytest.FixtureRequest, folder: RunFolder, network: LocalNet
 
 
 def test_the_scene_is_the_run_s(records: Records, folder: RunFolder) -> None:
-    assert records.scene("mug", "run") == folder.scene()
+    origin = records.page("mug", "run", 0).origin
+    with folder.journal() as journal:
+        assert origin == (folder.bundle().digest, journal.created)
+    assert records.scene("mug", "run", origin.scene) == folder.scene()
 
 
 def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> None:
@@ -72,14 +76,22 @@ def test_pages_that_are_short_add_up(records: Records, monkeypatch: pytest.Monke
 
 
 def test_a_run_is_counted_as_its_journal_is(records: Records) -> None:
-    (entry,) = records.entries("mug")
+    (entry,) = records.entries("mug").runs
     assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(successes(ROWS)))
 
 
 def test_what_is_not_there_is_refused(records: Records) -> None:
-    for ask in (records.scene, lambda job, run: records.page(job, run, 0)):
-        with pytest.raises(QdgraspError, match="rum"):
-            ask("mug", "rum")
+    with pytest.raises(QdgraspError, match="rum"):
+        records.page("mug", "rum", 0)
+
+
+def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(
+    folder: RunFolder, network: LocalNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(register, "ROWS", 100)
+    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
+        told = [BusRecords(ours).entries("mug") for _ in range(3)]
+    assert [(len(one.runs), one.uncounted) for one in told] == [(0, 1), (0, 1), (1, 0)]
 
 
 def test_a_folder_without_a_job_has_no_records(tmp_path: Path) -> None:

@@ -1,29 +1,68 @@
 """Exhibits: what the view in 3D shows of each run, read once for all browsers."""
 
-import threading
 import time
 import zlib
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from functools import cached_property
+from copy import copy
+from dataclasses import dataclass
+from math import inf
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from qdgrasp_coordinator.analysis.hand import Hand, hand
 from qdgrasp_coordinator.counts.entry import RunEntries
-from qdgrasp_coordinator.monitor.records import Page, Records
+from qdgrasp_coordinator.monitor.records import Origin, Page, Records
 from qdgrasp_coordinator.monitor.web import geometry
+from qdgrasp_coordinator.monitor.web.kept import Kept, Shelf
 from qdgrasp_coordinator.monitor.web.voxels import Voxels
-from qdgrasp_protocol.errors import BusError, InputError
+from qdgrasp_protocol.errors import InputError
 
 RUNS = 16
 """So many runs are kept ready; the one that was not looked at for longest gives way."""
+JOBS = 16
+"""Of so many jobs the runs are kept."""
+SCENES = 2
+"""So many scenes of a run: there is another one where its journal is another."""
 FRESH = 0.25
 """Finds that were read so recently are not asked for again [s]."""
+LISTED = 5.0
+"""Nor is a list of runs [s]."""
 PATIENCE = 1.0
 """So long are finds read before an answer is given with those that are there [s]."""
 REPLAY = "qdgrasp show {run} --grasp {number}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What was read of a journal."""
+
+    origin: Origin
+    voxels: Voxels
+
+    @property
+    def fresh(self) -> float:
+        """How long it is good for [s]."""
+        return FRESH if self.voxels.next >= self.voxels.rows else 0.0
+
+    def leads_to(self, page: Page) -> bool:
+        """Whether a page goes on with it; False: it is of another journal, or of one that fell back."""
+        return page.origin == self.origin and page.rows >= self.voxels.next
+
+    def with_pages(self, pages: list[Page]) -> "Reading":
+        """What there is with these pages, which follow."""
+        voxels = copy(self.voxels)
+        voxels.insert(np.concatenate([page.found for page in pages]), pages[-1].next, pages[-1].rows)
+        return Reading(self.origin, voxels)
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """What stands in the view."""
+
+    hand: Hand
+    stage: geometry.Stage
 
 
 class Exhibit:
@@ -37,63 +76,63 @@ class Exhibit:
 
     def __init__(self, records: Records, job: str, run: str, clock: Callable[[], float]) -> None:
         self._records, self._job, self._run, self._clock = records, job, run, clock
-        self._lock = threading.Lock()
-        self._origin = zlib.crc32(f"{job}/{run}".encode())
-        self._voxels = Voxels(self._origin)
-        self._read = -FRESH
+        self._reading = Kept(self._read, lambda reading: reading.fresh, clock)
+        self._sceneries = Shelf(self._scenery, SCENES)
 
-    @property
     def stage(self) -> bytes:
-        """JSON of `geometry.Stage`."""
-        return self._prepared[1]
+        """JSON of `geometry.Stage`: that of the journal of which the cells are."""
+        reading = self._reading.get()
+        stage = self._sceneries.of(reading.origin.scene).get().stage
+        return msgspec.json.encode(replace(stage, origin=reading.voxels.origin))
 
     def cells(self, first: int) -> bytes:
         """A page of `voxels`, with what was found until now; or until nobody answered any more."""
-        with self._lock:
-            try:
-                self._catch_up()
-            except BusError:
-                if not self._voxels.rows:
-                    raise
-            return self._voxels.page(first)
+        return self._reading.get().voxels.page(first)
 
     def grasp(self, number: int) -> bytes:
         """JSON of `geometry.Grasp`."""
-        found = self._records.page(self._job, self._run, number).found
-        if not len(found) or found["number"][0] != number:
+        page = self._records.page(self._job, self._run, number)
+        if not len(page.found) or page.found["number"][0] != number:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
         command = REPLAY.format(run=self._records.name(self._job, self._run), number=number)
-        return msgspec.json.encode(geometry.grasp(found[0], self._prepared[0], command))
+        made = self._sceneries.of(page.origin.scene).get().hand
+        return msgspec.json.encode(geometry.grasp(page.found[0], made, command))
 
-    @cached_property
-    def _prepared(self) -> tuple[Hand, bytes]:
-        """The hand, and the stage as JSON."""
-        scene = self._records.scene(self._job, self._run)
+    def _scenery(self, digest: str) -> Kept[Scenery]:
+        return Kept(lambda _: self._prepare(digest), lambda _: inf, self._clock)
+
+    def _prepare(self, digest: str) -> Scenery:
+        scene = self._records.scene(self._job, self._run, digest)
         made = hand(scene.gripper)
-        return made, msgspec.json.encode(geometry.stage(scene, made))
+        return Scenery(made, geometry.stage(scene, made))
 
-    def _catch_up(self) -> None:
+    def _read(self, before: Reading | None) -> Reading:
         """Read what was found since, for as long as that may take."""
-        began = self._clock()
-        if began - self._read < FRESH and self._voxels.next >= self._voxels.rows:
-            return
-        pages = list(self._pages(began + PATIENCE))
-        if pages[-1].rows < self._voxels.next:  # another journal, or one that fell back
-            self._origin = (self._origin + 1) % (1 << 32)
-            self._voxels = Voxels(self._origin)
-            pages = list(self._pages(began + PATIENCE))
-        self._voxels.insert(np.concatenate([page.found for page in pages]), pages[-1].next, pages[-1].rows)
-        self._read = self._clock()
+        pages = self._pages(before.voxels.next if before else 0)
+        if before and before.leads_to(pages[0]):
+            return before.with_pages(pages)
+        if before:
+            pages = self._pages(0)
+        return Reading(pages[0].origin, Voxels(self._number(pages[0].origin, before))).with_pages(pages)
 
-    def _pages(self, until: float) -> Iterator[Page]:
-        """What was found since, page by page; at least one."""
-        first = self._voxels.next
-        while True:
-            page = self._records.page(self._job, self._run, first)
+    def _number(self, origin: Origin, before: Reading | None) -> int:
+        """The number of an origin, and another one where its journal fell back."""
+        if before and before.origin == origin:
+            return (before.voxels.origin + 1) % (1 << 32)
+        return zlib.crc32(f"{self._job}/{self._run}/{origin}".encode())
+
+    def _pages(self, first: int) -> list[Page]:
+        """What there is of one journal from a row on, page by page; at least one."""
+        return list(self._turned(first, self._clock() + PATIENCE))
+
+    def _turned(self, first: int, until: float) -> Iterator[Page]:
+        page = self._records.page(self._job, self._run, first)
+        origin = page.origin
+        while page.origin == origin:
             yield page
-            first = page.next
-            if first >= page.rows or self._clock() > until:
+            if page.next >= page.rows or self._clock() > until:
                 return
+            page = self._records.page(self._job, self._run, page.next)
 
 
 class Exhibits:
@@ -106,30 +145,27 @@ class Exhibits:
     """
 
     def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
-        self._records, self._clock = records, clock
-        self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[str, str], Exhibit] = OrderedDict()
+        def listed(job: str) -> Kept[RunEntries]:
+            return Kept(lambda _: records.entries(job), lambda _: LISTED, clock)
+
+        def exhibit(name: tuple[str, str]) -> Exhibit:
+            return Exhibit(records, *name, clock)
+
+        self._lists = Shelf(listed, JOBS)
+        self._exhibits = Shelf(exhibit, RUNS)
 
     def runs(self, job: str) -> bytes:
         """JSON of `RunEntries`."""
-        return msgspec.json.encode(RunEntries(runs=self._records.entries(job)))
+        return msgspec.json.encode(self._lists.of(job).get())
 
     def scene(self, job: str, run: str) -> bytes:
         """JSON of `geometry.Stage`."""
-        return self._of(job, run).stage
+        return self._exhibits.of((job, run)).stage()
 
     def cells(self, job: str, run: str, since: int) -> bytes:
         """A page of `voxels`."""
-        return self._of(job, run).cells(since)
+        return self._exhibits.of((job, run)).cells(since)
 
     def grasp(self, job: str, run: str, number: int) -> bytes:
         """JSON of `geometry.Grasp`."""
-        return self._of(job, run).grasp(number)
-
-    def _of(self, job: str, run: str) -> Exhibit:
-        with self._lock:
-            kept = self._kept.pop((job, run), None) or Exhibit(self._records, job, run, self._clock)
-            self._kept[job, run] = kept
-            if len(self._kept) > RUNS:
-                self._kept.popitem(last=False)
-            return kept
+        return self._exhibits.of((job, run)).grasp(number)

@@ -63,6 +63,8 @@ class Stage(Struct, frozen=True):
     """Of the object."""
     links: Sequence[Link]
     """Of the hand."""
+    origin: int = 0
+    """That of the voxels that are found in it."""
 
 
 class Grasp(Struct, frozen=True):

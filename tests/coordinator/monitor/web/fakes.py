@@ -202,4 +202,5 @@ STAGE = Stage(
     kinds=[Kind(5, "no shake survived", "#bdb7ad"), Kind(6, "one", "#f2a431"), Kind(7, "both", "#2a73b9")],
     mesh=MESH,
     links=[Link("palm", False, MESH)],
+    origin=7,
 )

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.counts.entry import RunEntry
+from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found, layout
-from qdgrasp_coordinator.monitor.records import Page
+from qdgrasp_coordinator.monitor.records import Origin, Page
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.outcome import Outcome
 
@@ -31,6 +31,9 @@ def random_finds(n: int, reach: int = 3, seed: int = 0) -> Found:
     return finds(2 * np.arange(n), places, random.integers(Outcome.DROPPED, Outcome.HELD + 1, n))
 
 
+ORIGIN = Origin("1" * 64, 1.0)
+
+
 @dataclass
 class HandMadeRecords:
     """A single run, of whose finds each page has a few; counts what it was asked."""
@@ -41,27 +44,37 @@ class HandMadeRecords:
     on_a_page: int = 4
     asked: int = 0
     run: str = "run"
+    origin: Origin = ORIGIN
+    listed: int = 0
 
     def record(self, found: Found) -> None:
         """Have found these too."""
         self.found = np.concatenate([self.found, found])
         self.rows = int(self.found["number"][-1]) + 1
 
-    def scene(self, job: str, run: str) -> Scene:
-        if run != self.run:
-            raise UnknownName("run", run, [self.run])
+    def become(self, scene: Scene, origin: Origin, found: Found) -> None:
+        """Be the records of another job of the same name."""
+        self.a_scene, self.origin, self.found = scene, origin, found
+        self.rows = int(found["number"][-1]) + 1
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        assert digest == self.origin.scene
         return self.a_scene
 
     def page(self, job: str, run: str, first: int) -> Page:
         self.asked += 1
-        self.scene(job, run)
+        if run != self.run:
+            raise UnknownName("run", run, [self.run])
         start = int(np.searchsorted(self.found["number"], first))
         shown = self.found[start : start + self.on_a_page]
         more = start + self.on_a_page < len(self.found)
-        return Page(shown, int(shown["number"][-1]) + 1 if more else max(first, self.rows), self.rows)
+        return Page(
+            self.origin, shown, int(shown["number"][-1]) + 1 if more else max(first, self.rows), self.rows
+        )
 
-    def entries(self, job: str) -> list[RunEntry]:
-        return []
+    def entries(self, job: str) -> RunEntries:
+        self.listed += 1
+        return RunEntries(runs=[])
 
     def name(self, job: str, run: str) -> str:
         return "runs/mug"

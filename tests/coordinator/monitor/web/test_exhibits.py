@@ -1,11 +1,18 @@
 import json
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
+from msgspec.structs import replace
 from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
 from tests.coordinator.monitor.web.test_voxels import read
 
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.monitor.records import Origin
 from qdgrasp_coordinator.monitor.web import exhibits
-from qdgrasp_coordinator.monitor.web.exhibits import FRESH, Exhibits
+from qdgrasp_coordinator.monitor.web.exhibits import FRESH, LISTED, Exhibits
+from qdgrasp_coordinator.monitor.web.kept import SORRY
 from qdgrasp_coordinator.monitor.web.voxels import HEADER
 from qdgrasp_protocol.errors import InputError, NoReply, UnknownName
 from qdgrasp_protocol.outcome import Outcome
@@ -36,6 +43,11 @@ def library(records: HandMadeRecords, clock: Clock) -> Exhibits:
 def origin(page: bytes) -> int:
     number: int = HEADER.unpack_from(page)[5]
     return number
+
+
+def half(scene: Scene) -> Scene:
+    """The same with a hand that moves one of its fingers alone."""
+    return replace(scene, gripper=replace(scene.gripper, joints=scene.gripper.joints[:1]))
 
 
 def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, library: Exhibits) -> None:
@@ -89,6 +101,86 @@ def test_a_journal_that_fell_back_is_read_anew(
     assert read(after)[2] == {(9, 9, 9): [3, Outcome.DROPPED]}
 
 
+def test_another_job_of_the_same_name_is_shown_with_its_own_scene_and_finds_alone(
+    records: HandMadeRecords, library: Exhibits, clock: Clock, make_scene
+) -> None:
+    records.record(random_finds(10))
+    old = json.loads(library.scene("job", "run"))
+    assert old["origin"] == origin(library.cells("job", "run", 0))
+    many = finds(np.arange(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30, joints=1)
+    records.become(half(make_scene("half")), Origin("2" * 64, 2.0), many)
+    clock.now += FRESH
+    cells = library.cells("job", "run", 0)
+    new = json.loads(library.scene("job", "run"))
+    assert read(cells)[2].keys() == {(9, 9, k) for k in range(30)}
+    assert (old["gripper"], new["gripper"]) == ("jaw", "half")
+    assert new["origin"] == origin(cells) != old["origin"]
+    assert list(json.loads(library.grasp("job", "run", 3))["joints"]) == ["left"]
+
+
+def test_a_grasp_of_another_job_stands_in_its_own_scene_before_the_cells_are_asked_for(
+    records: HandMadeRecords, library: Exhibits, make_scene
+) -> None:
+    records.record(random_finds(10))
+    library.grasp("job", "run", 2)
+    found = finds([2], [(9, 9, 9)], [Outcome.HELD], joints=1)
+    records.become(half(make_scene("half")), Origin("2" * 64, 2.0), found)
+    assert list(json.loads(library.grasp("job", "run", 2))["joints"]) == ["left"]
+
+
+def test_the_list_of_runs_is_asked_for_once_for_all_browsers(
+    records: HandMadeRecords, library: Exhibits, clock: Clock
+) -> None:
+    for _ in range(20):
+        library.runs("job")
+    assert records.listed == 1
+    clock.now += LISTED
+    library.runs("job")
+    assert records.listed == 2
+
+
+def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(
+    records: HandMadeRecords, library: Exhibits, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    records.record(random_finds(4))
+    before = library.cells("job", "run", 0)
+    asked, over = threading.Event(), threading.Event()
+
+    def hang(*_: object) -> None:
+        asked.set()
+        assert over.wait(30)
+        raise NoReply("nobody answers")
+
+    monkeypatch.setattr(records, "page", hang)
+    clock.now += FRESH
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(library.cells, "job", "run", 0)
+        assert asked.wait(30)
+        assert [library.cells("job", "run", 0) for _ in range(50)] == [before] * 50
+        over.set()
+        assert waiting.result() == before
+
+
+def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(
+    records: HandMadeRecords, library: Exhibits, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def away(*told: object) -> None:
+        asked.append(told)
+        raise NoReply("nobody answers")
+
+    monkeypatch.setattr(records, "page", away)
+    for _ in range(5):
+        with pytest.raises(NoReply):
+            library.cells("job", "run", 0)
+    assert len(asked) == 1
+    clock.now += SORRY
+    with pytest.raises(NoReply):
+        library.cells("job", "run", 0)
+    assert len(asked) == 2
+
+
 def test_a_grasp_is_told_with_what_replays_it(records: HandMadeRecords, library: Exhibits) -> None:
     records.record(random_finds(9))
     told = json.loads(library.grasp("job", "run", 10))
@@ -112,9 +204,10 @@ def test_a_run_that_is_not_there_is_named(library: Exhibits) -> None:
 
 
 def test_only_so_many_runs_are_kept_ready(
-    records: HandMadeRecords, library: Exhibits, monkeypatch: pytest.MonkeyPatch
+    records: HandMadeRecords, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exhibits, "RUNS", 2)
+    library = Exhibits(records, clock)
     for job in ("a", "b", "c", "c", "b"):
         library.cells(job, "run", 0)
     assert records.asked == 3

@@ -11,6 +11,7 @@ from tests.coordinator.monitor.web.fakes import FakeFeed
 from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
 from tests.coordinator.scenes import made_scene
 
+from qdgrasp_coordinator.monitor.records import Origin
 from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
 from qdgrasp_protocol.outcome import Outcome
 
@@ -52,6 +53,9 @@ RESTS = """() => new Promise((done) => {
   };
   look();
 })"""
+ANOTHER = """async () => {
+  while (view.told.gripper !== "claw" || view.voxels.size !== 30) await new Promise(requestAnimationFrame);
+}"""
 CONTENT = """() => Object.fromEntries([...view.voxels.numbers.subarray(0, view.voxels.size)].map(
   (number, slot) => [number, [...view.voxels.cell(slot), view.voxels.kind(slot)]]))"""
 Page = Any
@@ -114,6 +118,15 @@ def test_what_is_found_while_one_looks_appears(page: Page, records: HandMadeReco
     records.record(finds([12, 13], [(0, 0, 9), (0, -9, 3)], [Outcome.HELD] * 2))  # one is in a known cell
     expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
     assert page.locator("#scene-key li b").all_inner_texts() == ["0", "1", "4"]
+
+
+def test_another_job_of_the_same_name_is_shown_with_its_own_object(
+    alone: Page, records: HandMadeRecords
+) -> None:
+    assert alone.evaluate("[view.told.gripper, view.voxels.size]") == ["jaw", 4]
+    many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
+    records.become(made_scene("claw"), Origin("2" * 64, 2.0), many)
+    alone.evaluate(ANOTHER)
 
 
 def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:

@@ -25,7 +25,6 @@ export class SceneView {
   /** Called with the kinds of cells: `{ words, colour, count, shown }`, from worst to best. */
   onkinds = () => {};
   #from = 0;
-  #origin = null;
   #chosen = null;
   #timer = 0;
   #wait = LISTEN;
@@ -48,6 +47,7 @@ export class SceneView {
   /** Begin to show the run, and what is found in it from now on. */
   async start() {
     this.#listen("addEventListener");
+    this.#from = 0;
     try {
       this.#set(await this.source.scene());
       await this.#read(null);
@@ -154,8 +154,7 @@ export class SceneView {
   async #read(now) {
     for (;;) {
       const page = await this.source.cells(this.#from);
-      if (page.rows < this.#from || (this.#origin ?? page.origin) !== page.origin) return this.#again();
-      this.#origin = page.origin;
+      if (page.rows < this.#from || page.origin !== this.told.origin) return this.#again();
       const known = this.voxels.size;
       if (page.n) this.voxels.update(page, this.stage.calm ? null : now);
       if (known < CUT_OPEN && this.voxels.size >= CUT_OPEN) this.voxels.cut = true;
@@ -167,14 +166,14 @@ export class SceneView {
     }
   }
 
-  /** Begin from nothing: this is another journal. */
-  #again() {
+  /** Begin from nothing: this is another journal, maybe of another object. */
+  async #again() {
     this.#from = 0;
-    this.#origin = null;
     this.select(null);
     this.onselect(null);
-    this.#set(this.told);
-    return this.#read(null);
+    this.#set(await this.source.scene());
+    await this.#read(null);
+    this.home();
   }
 
   #show(grasp) {
