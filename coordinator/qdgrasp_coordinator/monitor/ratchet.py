@@ -21,13 +21,14 @@ COUNTS = frozenset({
 
 
 def raised(now: Found, before: Found | None) -> Found:
-    """The figures now, with no count below what it was before."""
+    """The figures now, with no count below what it was before; what is counted does not remain."""
     if before is None:
         return now
     names = COUNTS.intersection(now.__struct_fields__)
-    return structs.replace(
-        now, **{name: _greater(getattr(before, name), getattr(now, name)) for name in names}
-    )
+    counts = {name: _greater(getattr(before, name), getattr(now, name)) for name in names}
+    if isinstance(now, JobFigures):
+        counts["remaining"] = max(0, now.remaining - (counts["evaluations"] - now.evaluations))
+    return structs.replace(now, **counts)
 
 
 def goes_on(before: JobMeta, now: JobMeta) -> bool:

@@ -193,6 +193,15 @@ class TestAnotherCoordinator:
         assert view.history.evaluations == [500, 500, 500, 501]
         assert view.histories["a"].successes == [500, 500, 500, 501]
 
+    def test_what_remains_does_not_rise_while_runs_are_opened_again(self) -> None:
+        jobs = watching()
+        for second, count in enumerate((2400, 0, 900, 2500), 1):
+            told(
+                jobs, START + second, stat_job=figures(evaluations=count, budget=3000, remaining=3000 - count)
+            )
+            one = seen(jobs, START + second).figures
+            assert (one.remaining, one.done) == (3000 - one.evaluations, one.evaluations / 3000)
+
     def test_what_a_coordinator_counts_of_itself_begins_anew(self) -> None:
         jobs = watching()
         told(jobs, START + 1, stat_job=figures(requeued=7, waiting=50))
