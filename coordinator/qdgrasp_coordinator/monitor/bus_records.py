@@ -1,11 +1,13 @@
 """Records of jobs that go on: what their recorders answer."""
 
+from socket import gethostname
+
 import msgspec
 
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.finds import from_message
-from qdgrasp_coordinator.monitor.records import Origin, Page
+from qdgrasp_coordinator.monitor.records import Origin, Page, Place
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import MessageError
@@ -37,12 +39,14 @@ class BusRecords:
             runs += page.runs
             uncounted += page.uncounted
             if page.next <= first:
-                return RunEntries(runs=runs, uncounted=uncounted)
+                return RunEntries(runs=runs, uncounted=uncounted, host=page.host)
             first = page.next
 
-    def name(self, job: str, run: str) -> str:
-        """Its name: in which folder it lies is not told on the bus."""
-        return run
+    def place(self, job: str, run: str) -> Place:
+        """As the recorder tells; in a folder DIR for somebody to fill in while it has not counted the run."""
+        told = self.entries(job)
+        folders = {entry.run: entry.folder for entry in told.runs}
+        return Place(folders.get(run) or "DIR", "" if told.host == gethostname() else told.host)
 
     def _entries(self, job: str, first: int) -> RunEntries:
         answer = self._bus.ask(Keys(job).entries, parameters=f"from={first}")

@@ -9,7 +9,7 @@ from qdgrasp_coordinator.counts.tally import tally
 from qdgrasp_coordinator.folders import journal_finds
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
-from qdgrasp_coordinator.monitor.records import Origin, Page
+from qdgrasp_coordinator.monitor.records import Origin, Page, Place
 from qdgrasp_protocol.errors import UnknownName
 
 
@@ -45,9 +45,9 @@ class FolderRecords:
         """Counted from the journals as they are now."""
         return RunEntries(runs=[_entry(self._folder(job, run)) for run in self.runs.get(job, [])])
 
-    def name(self, job: str, run: str) -> str:
-        """The path of its folder."""
-        return str(self._folder(job, run).path)
+    def place(self, job: str, run: str) -> Place:
+        """Its folder, here."""
+        return Place(str(self._folder(job, run).path.absolute()))
 
     def _folder(self, job: str, run: str) -> RunFolder:
         runs = self.runs

@@ -1,11 +1,13 @@
 """Records: what was found in the runs of jobs, and on what; over the bus or from a folder."""
 
 from dataclasses import dataclass
+from shlex import quote
 from typing import NamedTuple, Protocol
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found
+from qdgrasp_protocol.printable import printable
 
 
 class Origin(NamedTuple):
@@ -15,6 +17,20 @@ class Origin(NamedTuple):
     """sha256 of the scene bundle."""
     began: float
     """When it was begun [s since 1970]."""
+
+
+class Place(NamedTuple):
+    """Where a run lies."""
+
+    folder: str
+    """Its path."""
+    host: str = ""
+    """On which machine; empty: on this one."""
+
+    def show(self, number: int) -> str:
+        """The command that prints everything known about a row, with the machine to run it on."""
+        command = f"qdgrasp show {quote(printable(self.folder))} --grasp {number}"
+        return f"{command}  # on {printable(self.host)}" if self.host else command
 
 
 @dataclass(frozen=True)
@@ -51,5 +67,5 @@ class Records(Protocol):
     def entries(self, job: str) -> RunEntries:
         """The runs of a job, finished ones too; those that are not counted yet are left out for now."""
 
-    def name(self, job: str, run: str) -> str:
-        """What commands call the run."""
+    def place(self, job: str, run: str) -> Place:
+        """Where the run lies."""

@@ -1,17 +1,23 @@
 """Records: the same answers from a folder and over the bus."""
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.coordinator.analysis.test_profile import OUTCOMES, run_of
 from tests.coordinator.recorded_runs import random_rows, record
 
 from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.monitor.bus_records import BusRecords
 from qdgrasp_coordinator.monitor.folder_records import FolderRecords
-from qdgrasp_coordinator.monitor.records import Records
+from qdgrasp_coordinator.monitor.records import Place, Records
+from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
 from qdgrasp_coordinator.recording import register
 from qdgrasp_coordinator.recording.librarian import Librarian
 from qdgrasp_protocol.errors import FolderError, QdgraspError
@@ -78,6 +84,37 @@ def test_pages_that_are_short_add_up(records: Records, monkeypatch: pytest.Monke
 def test_a_run_is_counted_as_its_journal_is(records: Records) -> None:
     (entry,) = records.entries("mug").runs
     assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(successes(ROWS)))
+
+
+def test_it_is_told_where_a_run_lies(records: Records, folder: RunFolder) -> None:
+    assert records.place("mug", "run") == Place(str(folder.path.absolute()))
+
+
+def test_the_command_that_is_shown_prints_the_grasp(
+    tmp_path: Path, make_scene, network: LocalNetwork
+) -> None:
+    path = run_of(tmp_path / "my mug", make_scene(), OUTCOMES).folder.path
+    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", path):
+        library = Exhibits(BusRecords(ours))
+        shown = json.loads(library.grasp("mug", "run", 3))
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    command = ["sh", "-c", shown["command"]]
+    said = subprocess.run(command, capture_output=True, check=True, text=True, env=environment)
+    assert shown["command"] == f"qdgrasp show '{path}' --grasp 3"
+    assert "number           3 of 5 rows" in said.stdout
+    assert "outcome          shaken: one of the two shakes was survived" in said.stdout
+
+
+@pytest.mark.parametrize(
+    ("place", "command"),
+    [
+        (Place("/data/mug", "head"), "qdgrasp show /data/mug --grasp 7  # on head"),
+        (Place("/data/$(date)\n"), "qdgrasp show '/data/$(date)\\n' --grasp 7"),
+        (Place("DIR", "a\nb"), "qdgrasp show DIR --grasp 7  # on a\\nb"),
+    ],
+)
+def test_a_command_is_one_line_that_says_on_which_machine(place: Place, command: str) -> None:
+    assert place.show(7) == command
 
 
 def test_what_is_not_there_is_refused(records: Records) -> None:

@@ -31,7 +31,6 @@ LISTED = 5.0
 """Nor is a list of runs [s]."""
 PATIENCE = 1.0
 """So long are finds read before an answer is given with those that are there [s]."""
-REPLAY = "qdgrasp show {run} --grasp {number}"
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ class Exhibit:
         page = self._records.page(self._job, self._run, number)
         if not len(page.found) or page.found["number"][0] != number:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
-        command = REPLAY.format(run=self._records.name(self._job, self._run), number=number)
+        command = self._records.place(self._job, self._run).show(number)
         made = self._sceneries.of(page.origin.scene).get().hand
         return msgspec.json.encode(geometry.grasp(page.found[0], made, command))
 

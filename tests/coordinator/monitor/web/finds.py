@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found, layout
-from qdgrasp_coordinator.monitor.records import Origin, Page
+from qdgrasp_coordinator.monitor.records import Origin, Page, Place
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.outcome import Outcome
 
@@ -76,5 +76,5 @@ class HandMadeRecords:
         self.listed += 1
         return RunEntries(runs=[])
 
-    def name(self, job: str, run: str) -> str:
-        return "runs/mug"
+    def place(self, job: str, run: str) -> Place:
+        return Place("runs/mug")
