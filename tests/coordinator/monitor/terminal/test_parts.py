@@ -7,7 +7,7 @@ from tests.coordinator.monitor.shown import figures
 from tests.coordinator.monitor.terminal.seen import job
 
 from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII, UNICODE
-from qdgrasp_coordinator.monitor.terminal.parts import drawings, ends, parted, progress, stages
+from qdgrasp_coordinator.monitor.terminal.parts import drawings, ends, hindrance, parted, progress, stages
 from qdgrasp_coordinator.monitor.terminal.words import count, part, short, size, span
 
 
@@ -49,6 +49,20 @@ def test_a_run_is_drawn_over_evaluations_and_many_runs_over_time() -> None:
     assert [one.places[0] for one in many] == [1001.0] * 3
     assert [(one.first, one.last) for one in many] == [("4:59 ago", "now")] * 3
     assert all(list(one.places) == sorted(one.places) for one in many)
+
+
+@pytest.mark.parametrize(
+    ("state", "later", "expected"),
+    [
+        ("cancelled", 0.5, "ended before it was done: `qdgrasp resume DIR` goes on"),
+        ("ending", 60.0, "nothing was heard of it"),
+        ("running", 0.5, "all on disk"),
+    ],
+)
+def test_what_keeps_a_job_from_going_on_is_said(state: str, later: float, expected: str) -> None:
+    view = job(state=state, later=later)
+    assert expected in hindrance(view, ASCII)
+    assert ("left" in progress(view, 80, ASCII).plain) == (state != "cancelled")
 
 
 @pytest.mark.parametrize(
