@@ -2,11 +2,13 @@
 
 import asyncio
 import socket
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
 import structlog
 import uvicorn
+from anyio import CapacityLimiter, to_thread
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
@@ -20,6 +22,7 @@ from qdgrasp_coordinator.monitor.web.broadcast import Broadcast, EventStream
 from qdgrasp_coordinator.monitor.web.library import Library
 from qdgrasp_coordinator.monitor.web.showing import Showing, Watched
 from qdgrasp_protocol.errors import EndpointError, InputError, QdgraspError
+from qdgrasp_protocol.keys import number
 from qdgrasp_protocol.lifetime import Stop
 
 log = structlog.get_logger()
@@ -27,6 +30,10 @@ STATIC = Path(__file__).with_name("static")
 CLOSING = 1  # seconds that answers under way may take when the server ends
 CONNECTIONS = 512
 """So many at a time; whoever comes then is asked to try again."""
+ASKERS = 16
+"""So many threads ask the library; what waits for them keeps nothing else waiting."""
+HIGHEST = (1 << 32) - 1
+"""The last number that a row of a journal may have."""
 
 
 class Pages:
@@ -36,6 +43,7 @@ class Pages:
         self._shown = shown
         self._library = library
         self._broadcast = broadcast
+        self._askers = CapacityLimiter(ASKERS)
 
     def routes(self) -> list[BaseRoute]:
         """What is answered where."""
@@ -48,7 +56,7 @@ class Pages:
             Route("/api/jobs/{job}/runs", self.runs),
             Route(f"{run}/scene", self.scene),
             Route(f"{run}/cells", self.cells),
-            Route(f"{run}/grasps/{{number:int}}", self.grasp),
+            Route(f"{run}/grasps/{{number}}", self.grasp),
             Route("/metrics", self.metrics),
             Mount("/static", StaticFiles(directory=STATIC)),
         ]
@@ -71,28 +79,35 @@ class Pages:
         """The curves of one job."""
         return _json(self._shown.curves(request.path_params["job"]))
 
-    def runs(self, request: Request) -> Response:
+    async def runs(self, request: Request) -> Response:
         """The runs of one job, finished ones too."""
-        return _json(self._library.runs(request.path_params["job"]))
+        return _json(await self._asked(lambda: self._library.runs(request.path_params["job"])))
 
-    def scene(self, request: Request) -> Response:
+    async def scene(self, request: Request) -> Response:
         """What stands in the view in 3D."""
-        return _json(self._library.scene(*_run(request)))
+        return _json(await self._asked(lambda: self._library.scene(*_run(request))))
 
-    def cells(self, request: Request) -> Response:
+    async def cells(self, request: Request) -> Response:
         """The cells of the view in 3D."""
-        since = request.query_params.get("from", "0")
-        packed = self._library.cells(*_run(request), int(since) if since.isdecimal() else 0)
+        since = _row(request.query_params.get("from", "")) or 0
+        packed = await self._asked(lambda: self._library.cells(*_run(request), since))
         return Response(packed, media_type="application/octet-stream")
 
-    def grasp(self, request: Request) -> Response:
+    async def grasp(self, request: Request) -> Response:
         """One find."""
-        return _json(self._library.grasp(*_run(request), request.path_params["number"]))
+        row = _row(text := request.path_params["number"])
+        if row is None:
+            raise InputError(f"'{text[:20]}' is not the number of a row.")
+        return _json(await self._asked(lambda: self._library.grasp(*_run(request), row)))
 
     def metrics(self, request: Request) -> Response:
         """What Prometheus asks for."""
         text, kind = self._shown.metrics()
         return Response(text, headers={"Content-Type": kind})
+
+    async def _asked(self, question: Callable[[], bytes]) -> bytes:
+        """What the library answers, in a thread of those that may take long."""
+        return await to_thread.run_sync(question, limiter=self._askers)
 
 
 class Server(uvicorn.Server):
@@ -171,6 +186,12 @@ def _listener(host: str, port: int) -> socket.socket:
 def _run(request: Request) -> tuple[str, str]:
     """The job and the run that are asked for."""
     return request.path_params["job"], request.path_params["run"]
+
+
+def _row(text: str) -> int | None:
+    """The number of a row of a journal; None where the text is none."""
+    found = number(text)
+    return found if found is None or found <= HIGHEST else None
 
 
 def _json(text: bytes) -> Response:

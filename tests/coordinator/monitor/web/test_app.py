@@ -1,11 +1,14 @@
 import json
 import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from tests.coordinator.monitor.web.conftest import client
-from tests.coordinator.monitor.web.fakes import STEP, FakeFeed
+from tests.coordinator.monitor.web.conftest import client, free_port, serving
+from tests.coordinator.monitor.web.fakes import STEP, FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web.app import STATIC
 
@@ -56,10 +59,29 @@ def test_what_cannot_be_answered_is_said_in_a_sentence(
 def test_names_with_anything_in_them_reach_the_library(feed: FakeFeed) -> None:
     assert "Unknown run 'x y&?'" in client(feed).get("/api/jobs/mug/runs/x%20y%26%3F/scene").json()["error"]
     assert client(feed).get("/api/jobs/mug/runs/mug/grasps/12").json() == {"number": 12}
-    assert client(feed).get("/api/jobs/mug/runs/mug/grasps/twelve").status_code == 404
+    for number in ("twelve", "-1", "5000000000", "9" * 5000):
+        assert client(feed).get(f"/api/jobs/mug/runs/mug/grasps/{number}").status_code == 404
 
 
-@pytest.mark.parametrize(("since", "read"), [("5", 5), ("", 0), ("-1", 0), ("x", 0)])
+def test_a_library_that_hangs_keeps_nothing_else_waiting(
+    feed: FakeFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    over = threading.Event()
+    monkeypatch.setattr(FakeLibrary, "runs", lambda *_: b"{}" if over.wait(30) else b"")
+    with serving(feed, free_port()) as address, ThreadPoolExecutor(64) as pool:
+        asked = [pool.submit(urlopen, f"{address}/api/jobs/mug/runs", timeout=60) for _ in range(64)]
+        try:
+            for page in ("/", "/metrics", "/api/state", "/static/style.css"):
+                assert urlopen(address + page, timeout=20).status == 200  # noqa: S310 - our own
+            assert not any(one.done() for one in asked)
+        finally:
+            over.set()
+        assert {one.result().status for one in asked} == {200}
+
+
+@pytest.mark.parametrize(
+    ("since", "read"), [("5", 5), ("", 0), ("-1", 0), ("x", 0), ("5000000000", 0), ("9" * 5000, 0)]
+)
 def test_cells_are_asked_for_from_a_number_on(feed: FakeFeed, since: str, read: int) -> None:
     answer = client(feed).get("/api/jobs/mug/runs/mug/cells", params={"from": since})
     assert answer.headers["content-type"] == "application/octet-stream"
