@@ -152,9 +152,18 @@ def test_who_is_not_there_cannot_be_drained(whom: dict[str, str], reason: str) -
 
 def test_a_job_whose_time_is_over_ends_without_an_error() -> None:
     job = Job({"run-0": LONG}, seconds=0.2)
-    with Pretender(job.network.session(), ANN, answers=False).at_work():
+    worker = Pretender(job.network.session(), ANN, answers=False)
+    with worker.at_work(), last_words(job.network.session()) as told:
         job.service.run()
+        assert told()[-1] == "cancelled"
     assert len(job.records["run-0"].rows) < LONG.evaluations
+
+
+def test_of_a_job_that_is_done_nobody_is_told_that_it_is_cancelled() -> None:
+    job = Job(dict(PLANS))
+    with Pretender(job.network.session(), ANN).at_work(), last_words(job.network.session()) as told:
+        job.service.run()
+        assert told()[-1] == "running"
 
 
 def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
