@@ -3,8 +3,9 @@
 import json
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -17,24 +18,42 @@ from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.overview import look
 from qdgrasp_coordinator.monitor.terminal.frame import Shown, sheet
 from qdgrasp_coordinator.monitor.terminal.glyphs import glyphs_of
-from qdgrasp_coordinator.monitor.terminal.keyboard import keyboard
+from qdgrasp_coordinator.monitor.terminal.keyboard import Keyboard
 from qdgrasp_coordinator.monitor.terminal.screen import local_time, watch
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.lifetime import Stop, lifetime
 from qdgrasp_protocol.logs import speak
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 INTERVAL = 1.0  # seconds between two looks in JSON
+FLAGS = {
+    "once": "--once",
+    "as_json": "--json",
+    "ascii_only": "--ascii",
+    "web": "--web",
+    "token": "--token",
+    "token_file": "--token-file",
+}
+EITHER = (
+    ("once", "web"),
+    ("as_json", "web"),
+    ("ascii_only", "web"),
+    ("as_json", "ascii_only"),
+    ("token", "token_file"),
+)
+NEEDS = (("token", "web"), ("token_file", "web"))
+"""The second flag is what the first is for."""
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @app.command()
 def monitor(
+    context: typer.Context,
     connect: flags.Connect = None,
     security: flags.Security = None,
     job: Annotated[str | None, typer.Option(metavar="NAME", help="Watch this job only.")] = None,
@@ -51,8 +70,12 @@ def monitor(
         str | None,
         typer.Option(
             envvar="QDGRASP_TOKEN",
-            help="What a browser must show; beyond loopback there is always one, if need be a new one.",
+            help="What a browser must show; beyond loopback there is always one, if need be a new one. "
+            "Other users of this machine read it in the list of processes: rather use --token-file.",
         ),
+    ] = None,
+    token_file: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The same, from the first line of a file.")
     ] = None,
     wait: flags.Wait = PATIENCE,
 ) -> None:
@@ -63,6 +86,7 @@ def monitor(
 
     Example: qdgrasp-monitor --connect tcp/head:7447
     """
+    check_flags(typed(context))
     speak("monitor", level=logging.INFO if web else logging.ERROR)
     endpoint = place(connect, security)
     if once:
@@ -79,13 +103,53 @@ def monitor(
         bus = stack.enter_context(ZenohBus.connect(endpoint, wait, stop, credentials))
         feed = stack.enter_context(Feed(bus, job))
         if web is not None:
-            serve(bus, feed, web, token or "", stop)
+            serve(bus, feed, web, read_token(token_file) if token_file else token or "", stop)
         elif as_json:
             stream(feed, endpoint, stop)
         else:
             console = Console()
             watch(feed, endpoint, console, glyphs_of(console, ascii_only=ascii_only), stop)
     raise typer.Exit(stop.exit_code)
+
+
+def typed(context: typer.Context) -> set[str]:
+    """The flags that somebody typed, by the names of their parameters."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def check_flags(given: Container[str]) -> None:
+    """Check that every flag has something to do.
+
+    Raises
+    ------
+    InputError
+        One has not, beside another or without it.
+    """
+    for one, other in EITHER:
+        if one in given and other in given:
+            raise InputError(f"{FLAGS[one]} and {FLAGS[other]} do not go together; leave out one of them.")
+    for one, other in NEEDS:
+        if one in given and other not in given:
+            raise InputError(f"{FLAGS[one]} does nothing without {FLAGS[other]}; add it, or leave it out.")
+
+
+def read_token(file: Path) -> str:
+    """The token in a file.
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be read.
+    """
+    try:
+        lines = file.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise InputError(f"--token-file {file} cannot be read: {reason}.") from None
+    if not lines or not lines[0].strip():
+        raise InputError(f"--token-file {file} has no token in its first line.")
+    return lines[0].strip()
 
 
 def chosen(views: Sequence[JobView], job: str | None) -> Sequence[JobView]:
@@ -111,10 +175,10 @@ def show(views: Sequence[JobView], endpoint: str, strangers: Sequence[str], *, a
 
 def stream(feed: Feed, endpoint: str, stop: Stop) -> None:
     """Print a look at the jobs every second."""
-    with keyboard(stop) as heard:
-        while not stop.is_set:
-            heard.wait(INTERVAL)
-            typer.echo(to_json(feed.views(), endpoint))
+    heard = Keyboard(stop, None)
+    while not stop.is_set:
+        heard.wait(INTERVAL)
+        typer.echo(to_json(feed.views(), endpoint))
 
 
 def serve(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:

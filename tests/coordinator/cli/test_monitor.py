@@ -1,15 +1,38 @@
 """`qdgrasp-monitor`: what it prints, and what it makes of its options."""
 
 import json
+import os
+import pty
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
+from rich.console import Console
 from tests.coordinator.monitor.shown import values, views
+from typer.testing import CliRunner
 
-from qdgrasp_coordinator.cli.monitor import address, chosen, show, to_json
+from qdgrasp_coordinator.cli import monitor
+from qdgrasp_coordinator.cli.monitor import (
+    address,
+    app,
+    check_flags,
+    chosen,
+    read_token,
+    show,
+    stream,
+    to_json,
+)
 from qdgrasp_coordinator.monitor.jobs import JobView
-from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
+from qdgrasp_coordinator.monitor.terminal import screen
+from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII
+from qdgrasp_coordinator.monitor.terminal.screen import watch
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.lifetime import Stop
 
+TOKEN = "a-token-of-some-length"  # noqa: S105 - it opens nothing
 ENDPOINT = "tcp/127.0.0.1:1"
 BOTH = views(values("mugs") | values("cubes"))
 
@@ -46,6 +69,44 @@ def test_one_look_shows_all_jobs_and_names_those_of_another_version(
     assert said.isascii() or not ascii_only
 
 
+class OneLook:
+    """Jobs that are looked at once: then the monitor is asked to stop."""
+
+    is_linked, strangers = True, ()
+
+    def __init__(self, stop: Stop) -> None:
+        self._stop = stop
+
+    def views(self) -> list[JobView]:
+        self._stop.set(15)
+        return BOTH
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda feed, stop: stream(feed, ENDPOINT, stop),
+        lambda feed, stop: watch(feed, ENDPOINT, Console(), ASCII, stop),
+    ],
+    ids=["json", "lines"],
+)
+def test_what_draws_nothing_leaves_the_terminal_and_its_keys_alone(
+    work: Callable[[Any, Stop], None], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, terminal = pty.openpty()
+    monkeypatch.setattr(screen, "INTERVAL", 0.0)
+    monkeypatch.setattr(monitor, "INTERVAL", 0.0)
+    monkeypatch.setattr("tty.setcbreak", lambda _: pytest.fail("the terminal was changed"))
+    before = signal.getsignal(signal.SIGTSTP)
+    monkeypatch.setattr("signal.signal", lambda *_: pytest.fail("Ctrl-Z was taken away"))
+    with os.fdopen(terminal) as keys:
+        monkeypatch.setattr("sys.stdin", keys)
+        stop = Stop()
+        work(OneLook(stop), stop)
+    assert signal.getsignal(signal.SIGTSTP) == before
+    assert "mugs" in capsys.readouterr().out
+
+
 def test_one_look_at_nothing_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     show([], ENDPOINT, [], ascii_only=False)
     assert capsys.readouterr().out.startswith(f"No job is at {ENDPOINT}")
@@ -67,3 +128,43 @@ def test_the_place_of_the_page_is_a_host_and_a_port(text: str, place: tuple[str,
 def test_what_is_no_place_is_refused_with_how_to_write_one(text: str) -> None:
     with pytest.raises(ImpossibleValue, match="HOST:PORT, such as"):
         address(text)
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--once", "--web", "localhost:0"], "--once and --web do not go together"),
+        (["--json", "--web", "localhost:0"], "--json and --web do not go together"),
+        (["--ascii", "--web", "localhost:0"], "--ascii and --web do not go together"),
+        (["--json", "--ascii"], "--json and --ascii do not go together"),
+        (["--token", TOKEN], "--token does nothing without --web"),
+        (["--token-file", "token"], "--token-file does nothing without --web"),
+        (["--web", "localhost:0", "--token", TOKEN, "--token-file", "x"], "--token and --token-file do not"),
+    ],
+)
+def test_flags_that_have_nothing_to_do_are_refused(flags: list[str], words: str) -> None:
+    refused = CliRunner().invoke(app, flags)
+    assert isinstance(refused.exception, InputError)
+    assert words in str(refused.exception)
+
+
+def test_a_token_in_the_environment_is_there_for_those_who_need_it() -> None:
+    for given in ({"once"}, {"as_json", "once"}, {"web", "token"}, {"web", "token_file", "job"}):
+        check_flags(given)
+    other = CliRunner().invoke(
+        app, ["--once", "--connect", "nowhere"], env={"QDGRASP_TOKEN": TOKEN}, catch_exceptions=True
+    )
+    assert "--token" not in str(other.exception)
+
+
+def test_a_token_is_read_from_the_first_line_of_a_file(tmp_path: Path) -> None:
+    (tmp_path / "token").write_text(f" {TOKEN}\nanother\n", encoding="utf-8")
+    assert read_token(tmp_path / "token") == TOKEN
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\n", b"\xff\xfe"])
+def test_a_file_without_a_token_is_named(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / "token").write_bytes(content)
+    with pytest.raises(InputError, match=r"--token-file .*token (cannot be read|has no token)"):
+        read_token(tmp_path / "token")

@@ -35,9 +35,11 @@ class Watched(Protocol):
 
 def watch(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, stop: Stop) -> None:
     """Show jobs until a key or a signal ends it."""
-    with keyboard(stop) as heard:
-        draws = console.is_terminal and not console.is_dumb_terminal
-        (draw if draws else tell)(feed, endpoint, console, glyphs, heard, stop)
+    if console.is_terminal and not console.is_dumb_terminal:
+        with keyboard(stop) as heard:
+            draw(feed, endpoint, console, glyphs, heard, stop)
+    else:
+        tell(feed, endpoint, console, glyphs, Keyboard(stop, None), stop)
 
 
 def draw(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, heard: Keyboard, stop: Stop) -> None:

@@ -1,6 +1,7 @@
 """Who may see the page: everybody on this machine, or whoever has the token."""
 
 import hmac
+import re
 import secrets
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from qdgrasp_protocol.errors import ImpossibleValue
 COOKIE = "qdgrasp-monitor"
 SHORTEST = 16
 """The fewest characters of a token that somebody chose."""
+PRINTABLE = re.compile(r"[!-~]+")
+CHARACTERS = "characters of ASCII without spaces"
 READING = ("GET", "HEAD")
 OPEN = ("/static/style.css",)
 """What the page that asks for the token is drawn with."""
@@ -53,10 +56,13 @@ class Access:
         is then refused by the name it asks for (DNS rebinding).
     token
         What has to be shown; empty: nothing.
+    is_made
+        Whether nobody chose the token, so that it has to be told.
     """
 
     local: bool
     token: str = ""
+    is_made: bool = False
 
     @classmethod
     def at(cls, host: str, token: str = "") -> "Access":
@@ -65,17 +71,17 @@ class Access:
         Raises
         ------
         ImpossibleValue
-            The token is too short to keep anybody out.
+            The token is too short to keep anybody out, or of characters that no header may have.
         """
-        if token and len(token) < SHORTEST:
-            raise ImpossibleValue("--token", "*" * len(token), f"at least {SHORTEST} characters")
+        if token and (len(token) < SHORTEST or not PRINTABLE.fullmatch(token)):
+            raise ImpossibleValue("the token", "*" * len(token), f"at least {SHORTEST} {CHARACTERS}")
         local = is_loopback(host)
-        return cls(local, token if token or local else secrets.token_urlsafe(24))
+        return cls(local, token or ("" if local else secrets.token_urlsafe(24)), is_made=not (token or local))
 
     def address(self, host: str, port: int) -> str:
-        """Where a browser opens the page, with the token where one is needed."""
+        """Where a browser opens the page, with the token where one was made for it."""
         named = gethostname() if host in EVERYWHERE else f"[{host}]" if ":" in host else host
-        return f"http://{named}:{port}/" + (f"?token={quote(self.token)}" if self.token else "")
+        return f"http://{named}:{port}/" + (f"?token={quote(self.token)}" if self.is_made else "")
 
     def refusal(self, request: Request) -> Response | None:
         """The answer to somebody who may not see it; None to whoever may."""

@@ -108,7 +108,21 @@ def test_the_address_says_where_the_page_is() -> None:
     assert Access.at("127.0.0.1").address("127.0.0.1", 8080) == "http://127.0.0.1:8080/"
     assert Access.at("::1").address("::1", 8080) == "http://[::1]:8080/"
     assert gethostname() in Access.at("::").address("::", 80)
-    assert LOCKED.address("head", 80) == "http://head:80/?token=a-token-of-some-length"
+    made = Access.at("head")
+    assert made.address("head", 80) == f"http://head:80/?token={made.token}"
+
+
+def test_a_token_that_somebody_chose_is_not_told() -> None:
+    assert Access.at("head", TOKEN).address("head", 80) == "http://head:80/"
+
+
+@pytest.mark.parametrize(
+    "token", ["a-tóken-of-some-length", "令牌" * 10, "a token of some length", TOKEN + "\n"]
+)
+def test_a_token_that_no_header_can_hold_is_refused(token: str) -> None:
+    with pytest.raises(ImpossibleValue, match="ASCII without spaces") as refusal:
+        Access.at("head", token)
+    assert token not in str(refusal.value)
 
 
 def test_every_answer_has_the_headers_that_keep_a_browser_safe(feed: FakeFeed) -> None:
