@@ -1,6 +1,8 @@
 """The register: entries of all runs in a job's folder, counted bit by bit from their journals."""
 
 import socket
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,11 +16,16 @@ from qdgrasp_coordinator.counts.entry import PAGE, RunEntries, RunEntry
 from qdgrasp_coordinator.counts.tally import Tally, begun, go_on
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
+from qdgrasp_coordinator.folders.journal_format import FILE
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.spec import RunSpec
 
 ROWS = 1 << 19
 """So many journal rows are counted for one answer."""
+REST = 2.0
+"""A file system's clock goes on within this time, even that of an old one [s]."""
+Stamp = tuple[tuple[int, int, int], ...]
+"""The inode, the size and the time of the last change [ns] of each file of a journal."""
 
 
 @dataclass
@@ -44,28 +51,40 @@ class Register:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._lock = threading.Lock()
         self._counts: dict[Path, Count] = {}
+        self._known: dict[Path, tuple[Stamp, RunEntry]] = {}
         self._left = 0
 
     def page(self, first: int) -> RunEntries:
         """The entries from the run with this number on, by name, as far as they are counted."""
         paths = JobFolder(self._path).run_paths if JobFolder.is_job(self._path) else []
-        here = paths[first : first + PAGE]
-        self._left = ROWS
         entries: list[RunEntry | None] = []
-        for path in here:
-            with (
-                suppress(FolderError),
-                Journal.open(path) as journal,
-            ):  # there may be none yet, or no good one
-                entry = told(journal) if journal.sources else self._counted(path, journal)
-                entries.append(entry and replace(entry, folder=str(path.absolute())))
+        with self._lock:
+            self._left = ROWS
+            for path in paths[first : first + PAGE]:
+                with suppress(FolderError):  # there may be no journal yet, or no good one
+                    entries.append(self._entry(path))
         return RunEntries(
             runs=[entry for entry in entries if entry is not None],
             next=first + PAGE if first + PAGE < len(paths) else 0,
             uncounted=entries.count(None),
             host=socket.gethostname(),
         )
+
+    def _entry(self, path: Path) -> RunEntry | None:
+        """That of a run; a journal that rests since it was counted is not opened again."""
+        stamp, now = stamp_of(path), time.time()
+        stands, known = self._known.get(path, (None, None))
+        if known is not None and stands == stamp:
+            return known
+        with Journal.open(path) as journal:
+            entry = told(journal) if journal.sources else self._counted(path, journal)
+            is_whole = path not in self._counts or self._counts[path].rows == journal.count
+        entry = entry and replace(entry, folder=str(path.absolute()))
+        if entry and is_whole and rests(stamp, now):
+            self._known[path] = stamp, entry
+        return entry
 
     def _counted(self, path: Path, journal: Journal) -> RunEntry | None:
         """Count what is new of a run, as far as there is time."""
@@ -89,6 +108,21 @@ class Register:
         count.entry = whole or count.entry
         if found.finished is not None and whole is not None:
             count.tally = None
+
+
+def stamp_of(path: Path) -> Stamp:
+    """What changes whenever something is written to the journal in a folder."""
+    stamp: list[tuple[int, int, int]] = []
+    for name in (FILE, f"{FILE}-wal"):
+        with suppress(OSError):  # it is not there, or no longer
+            stat = (path / name).stat()
+            stamp += [(stat.st_ino, stat.st_size, stat.st_mtime_ns)] if stat.st_size else []
+    return tuple(stamp)
+
+
+def rests(stamp: Stamp, now: float) -> bool:
+    """Whether the last change was so long before `now` [s since 1970] that the next gets another stamp."""
+    return all(changed / 1e9 < now - REST for _, _, changed in stamp)
 
 
 def told(journal: Journal) -> RunEntry:
