@@ -21,6 +21,7 @@ from qdgrasp_coordinator.monitor.web.access import Access, Guard
 from qdgrasp_coordinator.monitor.web.broadcast import Broadcast, EventStream
 from qdgrasp_coordinator.monitor.web.library import Library
 from qdgrasp_coordinator.monitor.web.showing import Showing, Watched
+from qdgrasp_coordinator.monitor.web.visit import Visit
 from qdgrasp_protocol.errors import EndpointError, InputError, QdgraspError
 from qdgrasp_protocol.keys import number
 from qdgrasp_protocol.lifetime import Stop
@@ -161,6 +162,7 @@ def serve(feed: Watched, library: Library, host: str, port: int, token: str, sto
         log_config=None,
         access_log=False,
         server_header=False,
+        http=Visit,
         limit_concurrency=CONNECTIONS,
         timeout_graceful_shutdown=CLOSING,
     )
