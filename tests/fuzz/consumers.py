@@ -151,7 +151,7 @@ def _made(kind: type[Message], given: dict[str, Any]) -> Message:
         "cpu_seconds": 0.5, "versions": [1], "number": 1, "credit": 2, "held": [BATCH], "host": "node7",
         "pid": 77, "platform": PLATFORM, "drop": [BATCH], "act": "drain", "words": "done", "total": 3,
         "data": b"chunk" * 20, "first": 10, "durable": 15, "job": "mugs", "limit": 100, "runs": [],
-        "next": 20, "rows": 20,
+        "next": 20, "rows": 20, "began": 1.7e9,
     }  # fmt: skip
     names = {field.name for field in msgspec.structs.fields(kind)}
     values = {name: value for name, value in (common | given).items() if name in names}
