@@ -27,7 +27,8 @@ export class Entries {
     try {
       const answer = await fetch(`${this.api}/jobs/${encodeURIComponent(job)}/runs`);
       if (!answer.ok) return; // no recorder, or a finished one: those that are heard of are shown
-      this.#known.get(job).runs = (await answer.json()).runs;
+      const { runs, uncounted } = await answer.json();
+      Object.assign(this.#known.get(job), { runs }, uncounted ? { done: -1 } : {}); // those: soon
       this.onnews();
     } catch {
       // the link says that the monitor is away
