@@ -11,7 +11,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 
@@ -104,6 +104,11 @@ def test_without_a_job_it_says_so(qdgrasp: Commands) -> None:
         assert (code, parsed(out)) == (0, {"endpoint": endpoint, "jobs": []})
 
 
+def _of_no_size(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment without the size of another terminal: what runs tests in parallel tells its own."""
+    return {name: value for name, value in environment.items() if name not in ("COLUMNS", "LINES")}
+
+
 class Terminal:
     """The monitor on a terminal of 80 columns and 24 lines."""
 
@@ -115,7 +120,7 @@ class Terminal:
         self.process = subprocess.Popen(
             [sys.executable, "-m", MONITOR, *arguments],
             cwd=qdgrasp.home,
-            env={**os.environ, "TERM": "xterm-256color", "PYTHONIOENCODING": "utf-8"},
+            env=_of_no_size(os.environ) | {"TERM": "xterm-256color", "PYTHONIOENCODING": "utf-8"},
             stdin=far,
             stdout=far,
             stderr=far,
