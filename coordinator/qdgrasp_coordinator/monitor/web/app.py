@@ -19,7 +19,7 @@ from starlette.staticfiles import StaticFiles
 
 from qdgrasp_coordinator.monitor.web.access import Access, Guard
 from qdgrasp_coordinator.monitor.web.broadcast import Broadcast, EventStream
-from qdgrasp_coordinator.monitor.web.library import Library
+from qdgrasp_coordinator.monitor.web.libraries import Library
 from qdgrasp_coordinator.monitor.web.showing import Showing, Watched
 from qdgrasp_coordinator.monitor.web.visit import Visit
 from qdgrasp_protocol.errors import EndpointError, InputError, QdgraspError

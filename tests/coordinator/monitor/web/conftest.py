@@ -12,7 +12,7 @@ from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 from qdgrasp_coordinator.monitor.web.access import Access
 from qdgrasp_coordinator.monitor.web.app import application, serve
 from qdgrasp_coordinator.monitor.web.broadcast import Broadcast
-from qdgrasp_coordinator.monitor.web.library import Library
+from qdgrasp_coordinator.monitor.web.libraries import Library
 from qdgrasp_coordinator.monitor.web.showing import Showing
 from qdgrasp_protocol.lifetime import Stop
 
