@@ -14,12 +14,15 @@ PROCESSES = 2
 SECONDS = 1.0
 """What a batch takes a stand-in."""
 BATCH = 16
+RUNS = 4
+"""A generation of one run holds 4096 genomes at most: too few for so many sessions."""
 IN_FLIGHT = 4
 
 
 def measure(seconds: float) -> Iterator[Figure]:
-    population = SESSIONS * BATCH
-    runs = [assignment("run", spec("contact_rand", population), Prepared(population), IN_FLIGHT)]
+    population = SESSIONS * BATCH // RUNS
+    asked = spec("contact_rand", population)
+    runs = [assignment(f"run-{run}", asked, Prepared(population), IN_FLIGHT) for run in range(RUNS)]
     with router() as (endpoint, pid):
         parts = [Crowd(endpoint, JOB, SESSIONS // PROCESSES, seconds=SECONDS) for _ in range(PROCESSES)]
         with crowds(parts) as crew:
