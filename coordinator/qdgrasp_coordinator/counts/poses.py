@@ -8,13 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.counts.arrays import read_arrays
 from qdgrasp_coordinator.counts.scores import eta, sums
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.genome import GIVEN, NO_SYNERGY, Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
+
+ROUNDING = 1e-6
+"""How far float32 may take a unit quaternion's length from one."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,7 @@ class Poses:
 
     def genomes(self, scene: Scene) -> NDArray[np.float32]:
         """The genomes of the prior `given` (assets, `layout`): the pose, then synergy and free joints."""
-        unit = self.quaternions / np.linalg.norm(self.quaternions, axis=1, keepdims=True)
-        columns = [self.positions, unit]
+        columns = [self.positions, _unit(self.quaternions)]
         if scene.gripper.synergies:
             columns.append(self._labels(len(scene.gripper.synergies))[:, None])
         if free := scene.gripper.free_joints:
@@ -89,10 +91,12 @@ def read_poses(path: Path) -> Poses:
 def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
     """The genomes of the prior `given` (n, d) that stand for the very poses of rows with genomes of `prior`.
 
-    Evaluated, they give the same outcome, fitness and trials bit for bit.
+    Evaluated, they give the same outcome, fitness and trials bit for bit. In a merged journal zeros may stand
+    behind the genes.
     """
     known, hand = layout(scene, prior), scene.gripper
-    values = rows["genome"].astype(np.float64) if prior == GIVEN else known.values(rows["genome"])
+    genomes = rows["genome"][:, : len(known)]
+    values = genomes.astype(np.float64) if prior == GIVEN else known.values(genomes)
     own = len(known) - bool(hand.synergies) - len(hand.free_joints)
     if hand.synergies:
         values[:, own] = np.rint(values[:, own])
@@ -101,11 +105,15 @@ def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
 
 def postures(scene: Scene, prior: str, rows: Rows) -> NDArray[np.float32]:
     """The joint positions (n, j) [rad or m] that hands start from: open, free joints as the genomes say."""
-    names = [joint.name for joint in scene.gripper.joints]
-    opened = np.array([joint.opened for joint in scene.gripper.joints], dtype=np.float32)
-    starts = np.tile(opened, (len(rows), 1))
-    if free := [names.index(joint.name) for joint in scene.gripper.free_joints]:
-        starts[:, free] = as_given(scene, prior, rows)[:, -len(free) :]
+    given = as_given(scene, prior, rows)
+    return opened(scene.gripper, given[:, given.shape[1] - len(scene.gripper.free_joints) :])
+
+
+def opened(gripper: SceneGripper, spreads: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The joint positions (n, j) of the open posture, with free joints at `spreads` (n, k)."""
+    names = [joint.name for joint in gripper.joints]
+    starts = np.tile(np.array([joint.opened for joint in gripper.joints], np.float32), (len(spreads), 1))
+    starts[:, [names.index(joint.name) for joint in gripper.free_joints]] = spreads
     return starts
 
 
@@ -155,6 +163,12 @@ def scores(rows: Rows, trials: int = 0) -> dict[str, NDArray[np.generic]]:
         "contacts": rows["contacts"],
         "penetration": rows["penetration"],
     }
+
+
+def _unit(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same rotations (n, 4) at length one; what float32 alone keeps from it stays as it is stored."""
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.where(np.abs(lengths - 1.0) < ROUNDING, quaternions, quaternions / lengths)
 
 
 def _array(

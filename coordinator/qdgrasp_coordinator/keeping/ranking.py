@@ -16,6 +16,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.counts.cells import cells, keys
+from qdgrasp_coordinator.counts.order import best_first
 from qdgrasp_coordinator.counts.scores import eta, scored, sums
 from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -78,24 +79,15 @@ def _check_one_prior(sources: tuple[JournalSource, ...], where: Path) -> None:
 def best(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
     """The best row of each kind, and of these the `most` best, best first.
 
-    One row is better than another with a greater fitness; of equals with less penetration; of equals with
-    more contacts; of equals the earlier one in the journal.
-
     Parameters
     ----------
+    rows
+        In any order; which is better is said in `order.best_first`.
     kinds
         (n,): a number for each row, equal for those of a kind; None: their 1 cm cells.
     """
     kinds = keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
-    order = np.lexsort(
-        (
-            rows["index"],
-            rows["generation"],
-            -rows["contacts"].astype(np.int64),
-            rows["penetration"],
-            -rows["fitness"],
-        )
-    )
+    order = best_first(rows)
     _, first = np.unique(kinds[order], return_index=True)
     return rows[order[np.sort(first)]][:most]
 

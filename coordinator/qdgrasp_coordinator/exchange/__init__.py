@@ -1,0 +1,1 @@
+"""Grasps as other tools take them: choosing, writing and reading."""
