@@ -26,7 +26,7 @@ def run_command(app: typer.Typer, name: str) -> None:
     except QdgraspError as error:
         code = _said(name, str(error), error.exit_code)
     except TyperException as error:
-        code = _said(name, f"{error.format_message()} See `{name} --help`.", InputError.exit_code)
+        code = _misused(name, error.format_message())
     except (KeyboardInterrupt, typer.Abort):
         code = 130
     except BrokenPipeError:
@@ -56,6 +56,14 @@ def _wait_for_a_note(end: int) -> None:
         pass
     time.sleep(PATIENCE)
     os._exit(128 + number)
+
+
+def _misused(name: str, words: str) -> int:
+    """Say what was wrong with a command line; one with nothing in it is answered with the whole help."""
+    if words.startswith("Usage: "):
+        print(words, file=sys.stderr, flush=True)  # noqa: T201 - help is for a person who asked for nothing else
+        return InputError.exit_code
+    return _said(name, f"{words} See `{name} --help`.", InputError.exit_code)
 
 
 def _said(name: str, sentence: str, code: int) -> int:

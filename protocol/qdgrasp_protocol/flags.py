@@ -1,5 +1,6 @@
 """Flags that every command on the bus shares."""
 
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -25,3 +26,17 @@ Insecure = Annotated[
     bool,
     typer.Option("--insecure", help="Listen also where strangers get to, without encryption."),
 ]
+
+
+def _say_version(context: typer.Context, wanted: bool) -> None:
+    """Print which version this is, and end."""
+    if wanted:
+        typer.echo(f"{context.info_name} {version('qdgrasp')}")
+        raise typer.Exit
+
+
+Version = Annotated[
+    bool,
+    typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version, and end."),
+]
+"""Taken by every command that stands alone; what it does is done before the command's function is called."""

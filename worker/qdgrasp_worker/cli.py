@@ -53,6 +53,7 @@ def worker(
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Evaluate the probe set, print the platform as JSON, and end.")
     ] = False,
+    version: flags.Version = False,
 ) -> None:
     """Evaluate grasps for the jobs on a bus, with one simulator on one core for each worker.
 

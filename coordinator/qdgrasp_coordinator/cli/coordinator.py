@@ -51,6 +51,7 @@ def coordinator(
     paused: Annotated[
         bool, typer.Option("--paused", help="Hand out no work until `qdgrasp continue`.")
     ] = False,
+    version: flags.Version = False,
 ) -> None:
     """Run the searches of a job: ask, dispatch to workers, settle, tell; a recorder keeps what is found.
 

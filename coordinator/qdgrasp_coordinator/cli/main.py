@@ -26,6 +26,7 @@ from qdgrasp_coordinator.cli import (
     security,
     show,
 )
+from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.logs import speak
 
@@ -36,6 +37,13 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Archives of diverse, robust 6-DoF grasps by quality-diversity search.",
 )
+
+
+@app.callback()
+def qdgrasp(version: flags.Version = False) -> None:
+    """Whatever the command, there are flags of its own before it."""
+
+
 for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evaluate, coverage.coverage):
     app.command()(command)
 app.command()(campaign.campaign)

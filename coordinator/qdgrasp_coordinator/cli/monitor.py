@@ -78,6 +78,7 @@ def monitor(
         Path | None, typer.Option(metavar="FILE", help="The same, from the first line of a file.")
     ] = None,
     wait: flags.Wait = PATIENCE,
+    version: flags.Version = False,
 ) -> None:
     """Watch running jobs: how far they are, what they find, who works, and why evaluations fail.
 

@@ -28,6 +28,7 @@ def recorder(
     security: flags.Security = None,
     disk_wait: options.DiskWait = 60.0,
     wait: flags.Wait = 30.0,
+    version: flags.Version = False,
 ) -> None:
     """Write what a job finds to its folder, and tell its coordinator what is safe on the disk.
 

@@ -29,6 +29,7 @@ def router(
     ] = None,
     security: flags.Security = None,
     insecure: flags.Insecure = False,
+    version: flags.Version = False,
 ) -> None:
     """Relay between coordinators, recorders, workers and monitors until SIGINT or SIGTERM.
 

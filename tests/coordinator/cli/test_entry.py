@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -32,3 +33,17 @@ def test_every_command_answers_for_help(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)
     assert done.returncode == 0, done.stderr
     assert f"Usage: {name}" in done.stdout
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_command_says_its_version(name: str) -> None:
+    function = SCRIPTS[name].partition(":")[2]
+    code = f"import sys; sys.argv = [{name!r}, '--version']; from qdgrasp.entry import {function} as f; f()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)
+    assert (done.returncode, done.stdout) == (0, f"{name} {version('qdgrasp')}\n"), done.stderr
+
+
+def test_a_command_without_a_word_behind_it_shows_its_help() -> None:
+    done = subprocess.run([sys.executable, "-m", "qdgrasp"], capture_output=True, check=False, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("Usage: qdgrasp [OPTIONS] COMMAND")
