@@ -1,6 +1,5 @@
 """The figures of a running search: defined once, published about once a second, shown by whoever listens."""
 
-import json
 from datetime import datetime
 from typing import Annotated, Protocol, TypeVar
 
@@ -204,7 +203,7 @@ Kind = TypeVar("Kind", bound=Struct)
 
 def to_json(shown: Struct) -> bytes:
     """What is shown as JSON, readable with any zenoh tool."""
-    return json.dumps(msgspec.to_builtins(shown)).encode()
+    return msgspec.json.encode(shown)
 
 
 def from_json(payload: bytes, kind: type[Kind]) -> Kind:

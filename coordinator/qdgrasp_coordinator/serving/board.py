@@ -1,32 +1,31 @@
 """The board: what a coordinator shows of its job to whoever watches.
 
-It is published now and then, and late comers ask for it as it is now (docs/bus.md, what is shown). What that
-costs does not depend on how many watch.
+It is published now and then, and late comers are told what was published last (docs/bus.md, what is shown).
+What that costs does not depend on how many watch, or ask.
 """
 
 import os
 import socket
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 import msgspec
 from msgspec import Struct
 
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.events import Event
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, to_json
-from qdgrasp_coordinator.counts.team import TeamFigures
 from qdgrasp_coordinator.serving.chronicle import Chronicle
+from qdgrasp_coordinator.serving.display import Display
 from qdgrasp_coordinator.serving.lanes import Lanes
 from qdgrasp_coordinator.serving.turn import Turn
 from qdgrasp_protocol.bus import Bus, Channel
-from qdgrasp_protocol.keys import Keys, last_chunk, meet
+from qdgrasp_protocol.keys import Keys, last_chunk
 
 INTERVAL = 0.5  # seconds between two publications of the figures
 TEAM_INTERVAL = 1.0  # seconds between two of the workers', unless somebody's state has changed
-
-Shown = Mapping[str, Struct]
-"""What is shown, by key."""
 
 
 class Board:
@@ -38,11 +37,22 @@ class Board:
         Its runs.
     turn
         The coordinator's turn as it is now.
+    clock
+        The time for late comers [s].
     """
 
-    def __init__(self, bus: Bus, job: str, lanes: Lanes, turn: Callable[[], Turn]) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        job: str,
+        lanes: Lanes,
+        turn: Callable[[], Turn],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.chronicle = Chronicle(self._publish_event)
         """What has happened."""
+        self.display = Display(self._curves, clock)
+        """What late comers are told."""
         self.is_cancelled = False
         """Whether the job ends here, before it is done: somebody wants it, or its time is over."""
         self._bus = bus
@@ -76,25 +86,10 @@ class Board:
             strays=turn.dispatch.strays,
         )
 
-    # Late comers ask.
-
-    def values(self, asked: str, now: float) -> dict[str, bytes]:
-        """What is shown on keys that match a pattern, as it is now; curves only where they are asked for."""
-        stat = self._keys.stat
-        sources: dict[str, Callable[[float], Shown]] = {
-            self._keys.meta: lambda _now: {self._keys.meta: self._meta},
-            self._keys.recent: lambda _now: {self._keys.recent: self.chronicle.latest},
-            stat("job"): lambda now: {stat("job"): self.figures(now)},
-            stat("run/*"): lambda now: {stat(f"run/{one.run}"): one for one in self._runs(now)},
-            stat("team/*"): lambda now: {stat(f"team/{one.page}"): one for one in self._turn().team(now)},
-            stat("curve/*"): lambda _now: {
-                stat(f"curve/{lane.run}"): lane.curve for lane in self._lanes if "/curve/" in asked
-            },
-        }
-        found = [show(now) for pattern, show in sources.items() if meet(asked, pattern)]
-        return {key: to_json(value) for shown in found for key, value in shown.items() if meet(asked, key)}
-
-    # Whoever watches hears.
+    def open(self, now: float) -> None:
+        """Have something to show to whoever asks first."""
+        self.display.fill(self._keys.meta, to_json(self._meta))
+        self.publish(now)
 
     def publish_meta(self) -> None:
         """Show what the job is: a coordinator begins its turn."""
@@ -108,7 +103,9 @@ class Board:
     def publish(self, now: float) -> None:
         """Show how far everything is."""
         self._due = now + INTERVAL
-        for run in self._runs(now):
+        runs = [lane.figures(self._turn().dispatch.workers, now) for lane in self._lanes]
+        self.display.keep(self._keys.stat("run/*"), {run.run for run in runs})
+        for run in runs:
             self.publish_run(run)
         figures = self.figures(now)
         self._note_trouble(figures)
@@ -121,16 +118,18 @@ class Board:
 
     def _publish_team(self, now: float) -> None:
         """Show the workers, now and then, and when one is not as it was."""
-        pages: list[TeamFigures] = []
         states = [f"{member.wid} {member.state}" for member in self._turn().dispatch.members]
-        if now >= self._team_due or states != self._states:
-            self._team_due, self._states = now + TEAM_INTERVAL, states
-            pages = self._turn().team(now)
+        if now < self._team_due and states == self._states:
+            return
+        self._team_due, self._states = now + TEAM_INTERVAL, states
+        pages = self._turn().team(now)
+        self.display.keep(self._keys.stat("team/*"), {str(page.page) for page in pages})
         for page in pages:
             self._put(self._keys.stat(f"team/{page.page}"), page)
 
     def _publish_event(self, event: Event) -> None:
-        self._put(self._keys.event(event.kind), event)
+        self._send(self._keys.event(event.kind), to_json(event))
+        self.display.fill(self._keys.recent, to_json(self.chronicle.latest))
 
     def _note_trouble(self, figures: JobFigures) -> None:
         """Note that trouble came, or went."""
@@ -152,11 +151,18 @@ class Board:
             budget=self._lanes.extent.evaluations,
         )
 
-    def _runs(self, now: float) -> list[Figures]:
-        return [lane.figures(self._turn().dispatch.workers, now) for lane in self._lanes]
+    def _curves(self) -> dict[str, Curve]:
+        """How the runs in progress grew; in any thread."""
+        return {self._keys.stat(f"curve/{lane.run}"): lane.curve for lane in self._lanes}
 
     def _put(self, key: str, shown: Struct) -> None:
-        self._bus.put(key, to_json(shown), encoding="application/json", channel=Channel.MONITOR)
+        """Show something to those who watch and to those who come late."""
+        payload = to_json(shown)
+        self.display.fill(key, payload)
+        self._send(key, payload)
+
+    def _send(self, key: str, payload: bytes) -> None:
+        self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)
 
 
 def state_of(turn: Turn) -> str:

@@ -1,6 +1,5 @@
 """The chronicle: what happened to a job, for those who watch and for those who come late."""
 
-from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
 
@@ -29,7 +28,7 @@ class Chronicle:
     ) -> None:
         self._show = show
         self._clock = clock
-        self._latest: deque[Event] = deque(maxlen=KEPT)
+        self._latest: tuple[Event, ...] = ()
         self._count = 0
 
     def note(self, kind: EventKind, words: str, *, run: str = "", worker: str = "") -> None:
@@ -38,7 +37,7 @@ class Chronicle:
         event = Event(
             number=self._count, at=self._clock(), kind=kind, words=short(words), run=run, worker=worker
         )
-        self._latest.append(event)
+        self._latest = (*self._latest[1 - KEPT :], event)
         self._show(event)
 
     @property

@@ -26,15 +26,6 @@ class OrderRequest:
 
 
 @dataclass(frozen=True)
-class ShowRequest:
-    """Somebody waits for the last values of what is shown of this job."""
-
-    asked: str
-    """The keys, as a pattern."""
-    answer: Future[dict[str, bytes]] = field(default_factory=Future)
-
-
-@dataclass(frozen=True)
 class TokenChange:
     """A token of this job appeared or vanished."""
 
@@ -54,7 +45,7 @@ class Wake:
     """Look at the signals."""
 
 
-Event = Sample | JoinRequest | OrderRequest | ShowRequest | TokenChange | LinkChange | News | Wake
+Event = Sample | JoinRequest | OrderRequest | TokenChange | LinkChange | News | Wake
 
 
 class Inbox:

@@ -5,7 +5,7 @@ from concurrent.futures import Future
 from typing import TypeVar
 
 from qdgrasp_assets.scene import Bundle
-from qdgrasp_coordinator.serving.inbox import Inbox, JoinRequest, OrderRequest, ShowRequest
+from qdgrasp_coordinator.serving.inbox import Inbox, JoinRequest, OrderRequest
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import MessageError, NoReply, Refused
@@ -63,12 +63,6 @@ class Reception:
             raise Refused(str(error)) from None
         self._inbox.put(request)
         return codec.encode(Done(words=short(_awaited(request.answer))))
-
-    def values(self, query: Query) -> dict[str, bytes]:
-        """What is shown of the job, as it is now; raises `NoReply` where the coordinator is busy."""
-        request = ShowRequest(query.key)
-        self._inbox.put(request)
-        return _awaited(request.answer)
 
     def scene(self, query: Query) -> bytes:
         """One chunk of a scene.

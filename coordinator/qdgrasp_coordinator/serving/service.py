@@ -23,7 +23,6 @@ from qdgrasp_coordinator.serving.inbox import (
     Inbox,
     LinkChange,
     OrderRequest,
-    ShowRequest,
     TokenChange,
     Wake,
 )
@@ -165,8 +164,6 @@ class CoordinatorService:
                 self._lanes.none_left()
             case OrderRequest(order, answer):
                 self._obey(order, answer, now)
-            case ShowRequest(asked, answer):
-                answer.set_result(self._board.values(asked, now))
             case TokenChange(key, alive):
                 self._board.token_changed(key, alive)
                 self._turn.take(event, now)
@@ -190,6 +187,7 @@ class CoordinatorService:
             return
         log.info("obeyed", order=order.act, words=words)
         self._note("job", words)
+        self._board.publish(now)  # whoever has the answer and looks is to see it done
         answer.set_result(words)
 
     def _end_early(self, reason: EndedEarly | None = None) -> None:
@@ -213,10 +211,10 @@ class CoordinatorService:
         self._doors.callback(self._lanes.close)
         enter(self._bus.subscribe(self._keys.recorded, self._inbox.put))
         enter(self._bus.watch(self._keys.recorder_token(), self._token_changed))
-        enter(self._bus.show(self._keys.stat(), self._reception.values))
-        enter(self._bus.show(self._keys.meta, self._reception.values))
-        enter(self._bus.show(self._keys.recent, self._reception.values))
         enter(self._bus.answer(self._keys.control, self._reception.order))
+        self._board.open(time.monotonic())
+        for shown in (self._keys.stat(), self._keys.meta, self._keys.recent):
+            enter(self._bus.show(shown, self._board.display.values))
 
     def _begin(self, lane: Lane, opened: Opened) -> None:
         """Take on a run that is open."""

@@ -57,7 +57,7 @@ class Coordinator:
         self.turn = Turn(JOB, 1, lanes, lambda *_message: None, None)
         for number in range(WORKERS):
             self._join(f"{number:032x}")
-        self.board = Board(self.bus, JOB, lanes, lambda: self.turn)
+        self.board = Board(self.bus, JOB, lanes, lambda: self.turn, lambda: self.now)
 
     def _join(self, wid: str) -> None:
         join = Join(versions=[1], wid=wid, number=1, credit=2, held=[], host="h", pid=1, platform={"a": "1"})
@@ -66,11 +66,10 @@ class Coordinator:
     @contextmanager
     def open(self) -> Iterator[None]:
         keys = Keys(JOB)
+        self.board.open(self.now)
         with ExitStack() as stack:
             for shown in (keys.stat(), keys.meta, keys.recent):
-                stack.enter_context(
-                    self.bus.show(shown, lambda query: self.board.values(query.key, self.now))
-                )
+                stack.enter_context(self.bus.show(shown, self.board.display.values))
             stack.enter_context(self.bus.token(keys.coordinator_token(1)))
             yield
 

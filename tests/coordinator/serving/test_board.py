@@ -161,6 +161,28 @@ def test_those_who_come_late_hear_what_happened_and_how_counts_grew() -> None:
     assert first.successes >= first.robust
 
 
+def test_late_comers_are_answered_while_the_coordinator_has_no_time() -> None:
+    job = Job({"run-0": LONG})
+    answers: dict[str, bytes] = {}
+
+    def ask(now: float) -> None:  # in the coordinator's one thread
+        with job.network.session() as bus:
+            answers.update(bus.ask_all("qdgrasp/v1/*/stat/**") | bus.ask_all(KEYS.stat("curve/*")))
+        if {KEYS.stat("run/run-0"), KEYS.stat("curve/run-0")} <= {*answers}:
+            job.stop.set(15)
+
+    with Pretender(job.network.session(), ANN).at_work():
+        job.service.run(ask)
+    assert {KEYS.stat("job"), KEYS.stat("team/0")} <= {*answers}
+
+
+def test_a_run_that_is_over_is_not_shown_to_late_comers() -> None:
+    job = Job({"run-1": PLANS["run-1"], "run-0": LONG})
+    with job.serving(), job.network.session() as bus, Pretender(job.network.session(), ANN).at_work():
+        until(lambda: any(from_json(told, JobFigures).runs_done for told in asked(bus, "job").values()))
+        until(lambda: [*asked(bus, "run/*")] == [KEYS.stat("run/run-0")])
+
+
 def test_a_worker_that_dies_is_shown_as_gone() -> None:
     job = Job({"run-0": LONG})
     heard = Heard(job.network.session())
@@ -177,8 +199,12 @@ def states(heard: Heard) -> list[str]:
     return [page.workers[0].state for page in pages if page.workers]
 
 
+def asked(bus: Bus, what: str) -> dict[str, bytes]:
+    return bus.ask_all(KEYS.stat(what))
+
+
 def curve(bus: Bus, run: str) -> Curve:
-    return curve_of(bus.ask_all(KEYS.stat(f"curve/{run}")), run)
+    return curve_of(asked(bus, f"curve/{run}"), run)
 
 
 def curve_of(values: dict[str, bytes], run: str) -> Curve:

@@ -169,9 +169,11 @@ def test_of_a_job_that_is_done_nobody_is_told_that_it_is_cancelled() -> None:
 def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
     job = Job({"run-0": LONG, "run-1": LONG})
     with job.serving(), job.network.session() as bus:
+        until(lambda: bool(overview(bus)))
         assert shown(bus).meta.epoch in (0, 1)
         with Pretender(job.network.session(), ANN, answers=False).at_work() as worker:
             assert worker.kept.wait(SOON)
+            until(lambda: [one.state for one in shown(bus).workers] == ["working"])
             view = shown(bus)
             values = bus.ask_all(Keys(JOB).stat("team/*"))
     assert (view.meta.job, view.meta.epoch, view.meta.runs) == (JOB, 1, 2)
