@@ -22,6 +22,8 @@ Width = Annotated[int, Meta(ge=0, le=256)]
 Number = Annotated[float, Meta(ge=0, le=1e12)]
 """Finite and not negative."""
 
+JobId = Annotated[str, Meta(max_length=32)]
+"""What tells a job from another one of its name: random, made with its folder; empty: not known."""
 Text = Annotated[str, Meta(max_length=200)]
 """Words for a person; made with `short`."""
 
@@ -196,6 +198,8 @@ class Opened(Message, frozen=True, kw_only=True):
     durable: list[Count]
     platform: dict[str, str]
     """The platform that the recorded rows were made on; empty when there are none."""
+    identity: JobId = ""
+    """Of the job."""
 
 
 class Platform(Message, frozen=True, kw_only=True):

@@ -148,6 +148,8 @@ class PaperJob:
     def epoch(self) -> int:
         return self._disk.epoch
 
+    identity = ""
+
     def set_epoch(self, epoch: int) -> None:
         self._disk.check()
         self._disk.epoch = epoch

@@ -182,6 +182,8 @@ class JobMeta(Struct, frozen=True, kw_only=True):
     """Of the job, begun or not."""
     budget: int
     """Counted evaluations after which all runs are over."""
+    identity: str = ""
+    """What tells the job from another one of its name; empty: it is not known."""
 
 
 def _done(evaluations: int, remaining: int) -> float:

@@ -3,13 +3,14 @@
 A run of its own is a job of one run: its folder is the job's too. A campaign's folder holds `campaign.toml`
 (on a recorder's machine it need not), and below `runs/` a folder for each of its runs.
 
-* `job.json`      the job's name, and the epoch of its last coordinator
+* `job.json`      the job's name and identity, and the epoch of its last coordinator
 * `endpoint`      where the coordinator's router listens, while it does
 * `lock`          locked by the recorder; the kernel frees it when that process dies
 * `supervised`    locked by the command that started the job's processes
 * `logs/`         what the job's processes said
 """
 
+import secrets
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -20,6 +21,7 @@ import msgspec
 from qdgrasp_coordinator.folders import disk, lock
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys, job_name
+from qdgrasp_protocol.messages import JobId
 
 JOB, ENDPOINT, LOGS, RUNS, CAMPAIGN = "job.json", "endpoint", "logs", "runs", "campaign.toml"
 SUPERVISED = "supervised"
@@ -33,9 +35,11 @@ class Job(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     job: str
     epoch: int = 0
     """Of the last coordinator; 0 before the first."""
+    identity: JobId = ""
+    """What no other job has; empty in a folder of an earlier version, until its next coordinator's turn."""
 
     @classmethod
-    def begun(cls, path: Path, name: str | None) -> "Job":
+    def begun(cls, path: Path, name: str | None = None) -> "Job":
         """The job of a new folder at `path`; without a name it is called after the folder.
 
         Raises
@@ -43,7 +47,12 @@ class Job(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ImpossibleValue
             The name is not of the allowed characters.
         """
-        return cls(job_name(path.absolute().name) if name is None else Keys(name).job)
+        name = job_name(path.absolute().name) if name is None else Keys(name).job
+        return cls(name, identity=secrets.token_hex(16))
+
+    def in_turn(self, epoch: int) -> "Job":
+        """The same job in a coordinator's turn."""
+        return Job(self.job, epoch, self.identity or secrets.token_hex(16))
 
     @property
     def file(self) -> dict[str, bytes]:
@@ -84,7 +93,7 @@ class JobFolder:
             The folder holds other files, or cannot be made.
         """
         disk.check_free(path)
-        disk.create(path, Job(name).file | dict(files), folders=[LOGS, RUNS])
+        disk.create(path, Job.begun(path, name).file | dict(files), folders=[LOGS, RUNS])
         return cls(path)
 
     @staticmethod
@@ -123,9 +132,14 @@ class JobFolder:
         """The epoch of the job's last coordinator; 0 before the first."""
         return self._job.epoch
 
+    @property
+    def identity(self) -> str:
+        """What tells the job from others of its name; empty: not known yet."""
+        return self._job.identity
+
     def set_epoch(self, epoch: int) -> None:
         """Store an epoch; it is on the disk when this returns."""
-        self._write(JOB, msgspec.json.encode(Job(self.name, epoch)))
+        self._write(JOB, msgspec.json.encode(self._job.in_turn(epoch)))
 
     @property
     def endpoint(self) -> str | None:

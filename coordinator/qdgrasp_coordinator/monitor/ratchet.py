@@ -32,7 +32,12 @@ def raised(now: Found, before: Found | None) -> Found:
 
 
 def goes_on(before: JobMeta, now: JobMeta) -> bool:
-    """Whether it is the coordinator of before, or one that goes on with its work: turns are counted."""
+    """Whether it is the coordinator of before, or one that goes on with its work.
+
+    Turns are counted, which is all there is to go by where a job has no identity.
+    """
+    if before.identity and now.identity:
+        return before.identity == now.identity
     return now.since == before.since or not now.epoch or now.epoch > before.epoch
 
 

@@ -91,7 +91,8 @@ class Books:
         self._holding.store_epoch()
         self._platform = platform
         durable = [self._open(subject).intake.durable for subject in subjects]
-        return Opened(epoch=self.epoch, durable=durable, platform=platform)
+        identity = self._holding.identity
+        return Opened(epoch=self.epoch, durable=durable, platform=platform, identity=identity)
 
     def take(self, message: Recordable, now: float) -> Verdict:
         """Let rows wait for their commit.

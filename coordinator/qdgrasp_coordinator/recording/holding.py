@@ -70,6 +70,11 @@ class Holding:
         if self._folder is not None and self._folder.epoch < self.epoch:
             self._folder.set_epoch(self.epoch)
 
+    @property
+    def identity(self) -> str:
+        """What tells the job from others of its name; empty: not known."""
+        return self._folder.identity if self._folder else ""
+
     def run_folder(self, run: str, spec: RunSpec) -> RunFolder:
         """The folder of a run, begun where there is none."""
         job = JobFolder(self.path)

@@ -60,6 +60,7 @@ class Board:
         self._keys = Keys(job)
         self._lanes = lanes
         self._turn = turn
+        self._identity = ""
         self._since = datetime.now(UTC).replace(microsecond=0)
         self._recorders: set[str] = set()
         self._due = self._team_due = 0.0
@@ -91,8 +92,9 @@ class Board:
         self.display.fill(self._keys.meta, to_json(self._meta))
         self.publish(now)
 
-    def publish_meta(self) -> None:
-        """Show what the job is: a coordinator begins its turn."""
+    def publish_meta(self, identity: str) -> None:
+        """Show what the job is: a coordinator begins its turn at the one that a recorder knows by this."""
+        self._identity = identity
         self._put(self._keys.meta, self._meta)
 
     def publish_due(self, now: float) -> None:
@@ -149,6 +151,7 @@ class Board:
             version=version("qdgrasp"),
             runs=self._lanes.extent.runs,
             budget=self._lanes.extent.evaluations,
+            identity=self._identity,
         )
 
     def _curves(self) -> dict[str, Curve]:

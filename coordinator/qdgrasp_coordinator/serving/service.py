@@ -219,7 +219,7 @@ class CoordinatorService:
     def _begin(self, lane: Lane, opened: Opened) -> None:
         """Take on a run that is open."""
         if not self._turn.epoch:
-            self._begin_turn(opened.epoch)
+            self._begin_turn(opened.epoch, opened.identity)
         try:
             self._turn.begin(lane, opened)
         except Refused as refusal:
@@ -231,7 +231,7 @@ class CoordinatorService:
         words = f"Run '{lane.run}' goes on from row {rows}." if rows else f"Run '{lane.run}' begins."
         self._note("run", words, run=lane.run)
 
-    def _begin_turn(self, epoch: int) -> None:
+    def _begin_turn(self, epoch: int, identity: str) -> None:
         """Open the doors to workers: results, joins and scenes first, the token that invites them last."""
         before, self._turn = self._turn, self._new_turn(epoch)
         self._turn.is_paused, self._turn.is_ending = before.is_paused, before.is_ending
@@ -244,7 +244,7 @@ class CoordinatorService:
         enter(self._bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
         enter(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
         enter(self._bus.token(self._keys.coordinator_token(epoch)))
-        self._board.publish_meta()
+        self._board.publish_meta(identity)
         how = f"takes over with turn {epoch}" if epoch > 1 else "begins"
         self._note("job", f"The coordinator on {socket.gethostname()} (process {os.getpid()}) {how}.")
 

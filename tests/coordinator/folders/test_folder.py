@@ -8,6 +8,7 @@ import pytest
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal_format import Identity
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_protocol.errors import FolderError
@@ -84,6 +85,23 @@ def test_the_epoch_survives(folder: RunFolder) -> None:
     folder.job.set_epoch(41)
     again = RunFolder.open(folder.path)
     assert (again.job.epoch, again.job.name) == (41, "my-run-1")
+
+
+def test_a_job_has_an_identity_that_no_other_of_its_name_has(folder: RunFolder, tmp_path: Path) -> None:
+    again = JobFolder.create(tmp_path / "campaign", folder.job.name)
+    assert len({folder.job.identity, again.identity, ""}) == 3
+    before = again.identity
+    again.set_epoch(2)
+    assert again.identity == before
+
+
+def test_the_folder_of_an_earlier_version_gets_an_identity_with_its_next_turn(folder: RunFolder) -> None:
+    (folder.path / "job.json").write_text('{"job": "a", "epoch": 3}')
+    assert (folder.job.epoch, folder.job.identity) == (3, "")
+    folder.job.set_epoch(4)
+    known = folder.job.identity
+    folder.job.set_epoch(5)
+    assert known == folder.job.identity != ""
 
 
 def test_a_damaged_job_file_is_named(folder: RunFolder) -> None:

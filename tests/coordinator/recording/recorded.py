@@ -10,6 +10,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 import numpy as np
+from msgspec import structs
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.counts.stretch import Stretch, from_message, to_message
@@ -39,6 +40,11 @@ def make_rows(n: int) -> Rows:
     rows["index"], rows["outcome"] = np.arange(n), random.integers(Outcome.ERROR, Outcome.HELD, n)
     rows["genome"] = random.uniform(-1, 1, rows["genome"].shape)
     return rows
+
+
+def anonymous(opened: Opened) -> Opened:
+    """The answer without the job's identity, which is random."""
+    return structs.replace(opened, identity="")
 
 
 class Coordinator:

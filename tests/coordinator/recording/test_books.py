@@ -2,7 +2,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.coordinator.recording.recorded import BUNDLE, JOB, SCENE, SHAPE, SPEC, make_rows
+from tests.coordinator.recording.recorded import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
 
 from qdgrasp_coordinator.counts.stretch import Stretch, to_message
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -59,7 +59,9 @@ def path(tmp_path: Path) -> Path:
 class TestOpening:
     def test_runs_are_begun_in_folders_of_their_own_below_the_job(self, path: Path) -> None:
         with Books(path, JOB) as books:
-            assert books.open(ask("b", "a")) == Opened(epoch=1, durable=[0, 0], platform={})
+            opened = books.open(ask("b", "a"))
+        assert anonymous(opened) == Opened(epoch=1, durable=[0, 0], platform={})
+        assert opened.identity == JobFolder.open(path).identity != ""
         assert (JobFolder.open(path).name, JobFolder.open(path).epoch) == (JOB, 1)
         for run in "ab":
             folder = RunFolder.open(path / "runs" / run)
@@ -70,7 +72,8 @@ class TestOpening:
             assert books.open(ask("a")).epoch == 1
             books.take(rows("a", 0, 30), 0.0)
             books.commit("a")
-            assert books.open(ask("b", "a", epoch=1)) == Opened(epoch=1, durable=[0, 30], platform={})
+            opened = anonymous(books.open(ask("b", "a", epoch=1)))
+            assert opened == Opened(epoch=1, durable=[0, 30], platform={})
             assert books.open(ask("c")).epoch == 2
             with pytest.raises(Refused, match="epoch 1 is over: another coordinator took over with 2"):
                 books.open(ask("d", epoch=1))

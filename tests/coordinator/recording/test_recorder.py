@@ -11,6 +11,7 @@ from tests.coordinator.recording.recorded import (
     SOON,
     SPEC,
     Coordinator,
+    anonymous,
     make_rows,
     recording,
 )
@@ -39,7 +40,7 @@ class TestOpening:
     ) -> None:
         for epoch in (1, 2, 3):
             with recording(network, folder.path):
-                assert coordinator.open() == Opened(epoch=epoch, durable=[0], platform={})
+                assert anonymous(coordinator.open()) == Opened(epoch=epoch, durable=[0], platform={})
                 assert RunFolder.open(folder.path).job.epoch == epoch
 
     def test_a_run_goes_on_where_its_journal_ends_on_its_platform(
@@ -51,7 +52,8 @@ class TestOpening:
             coordinator.send(make_rows(30), 0, 30)
             coordinator.hears_durable(30)
         with recording(network, folder.path):
-            assert coordinator.open() == Opened(epoch=2, durable=[30], platform={"pybullet": "3.2.7"})
+            opened = anonymous(coordinator.open())
+            assert opened == Opened(epoch=2, durable=[30], platform={"pybullet": "3.2.7"})
 
     def test_a_larger_budget_is_taken_over_into_spec_and_journal(
         self, network: LocalNetwork, coordinator: Coordinator, folder: RunFolder

@@ -11,6 +11,7 @@ from tests.coordinator.recording.recorded import (
     SHAPE,
     SPEC,
     Coordinator,
+    anonymous,
     make_rows,
     recording,
 )
@@ -51,7 +52,8 @@ def test_rows_of_several_runs_become_durable_each_in_its_own_journal(
     network: LocalNetwork, coordinator: Coordinator, path: Path
 ) -> None:
     with recording(network, path):
-        assert coordinator.open_runs("a", "b", "c") == Opened(epoch=1, durable=[0, 0, 0], platform={})
+        opened = anonymous(coordinator.open_runs("a", "b", "c"))
+        assert opened == Opened(epoch=1, durable=[0, 0, 0], platform={})
         send_in_turns(coordinator, "abc", 1000)
         coordinator.send(ROWS, 1000, 3000, run="b")
         for run, stop in (("a", 1000), ("b", 3000), ("c", 1000)):
@@ -67,7 +69,8 @@ def test_runs_are_opened_as_a_coordinator_gets_to_them(
     with recording(network, path):
         coordinator.open_runs("a")
         coordinator.send(ROWS, 0, 100, run="a")
-        assert coordinator.open_runs("b", "c", epoch=1) == Opened(epoch=1, durable=[0, 0], platform={})
+        opened = anonymous(coordinator.open_runs("b", "c", epoch=1))
+        assert opened == Opened(epoch=1, durable=[0, 0], platform={})
         send_in_turns(coordinator, "bc", 100)
         for run in "abc":
             coordinator.hears_durable(100, run)
@@ -85,7 +88,7 @@ def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(
         send_in_turns(coordinator, "ab", 1000, first=500)
         for run in "ab":
             coordinator.hears_durable(1000, run)
-        opened = coordinator.open_runs("c", "a", epoch=1)
+        opened = anonymous(coordinator.open_runs("c", "a", epoch=1))
         assert opened == Opened(epoch=1, durable=[0, 1000], platform={"pybullet": "3.2.7"})
     assert recorded(path, "a") == recorded(path, "b") == ROWS[:1000].tobytes()
 

@@ -159,6 +159,13 @@ class Elsewhere(Memory):
         return Opened(epoch=1, durable=[0], platform={"pybullet": "2.0"})
 
 
+class Identified(Memory):
+    """The record of a run of a job with an identity."""
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        return Opened(epoch=2, durable=[0], platform={}, identity="mine")
+
+
 class Replaced(Memory):
     """The record of a run that another coordinator has opened."""
 

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 import pytest
 from tests.coordinator.recording.recorded import JOB
 from tests.coordinator.runs.plans import Plan
-from tests.coordinator.serving.served import PLANS, SOON, Job, Pretender, until
+from tests.coordinator.serving.served import PLANS, SOON, Identified, Job, Pretender, until
 
 from qdgrasp_coordinator.counts import figures
 from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.events import KEPT, Event, Events
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures, from_json
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta, from_json
 from qdgrasp_coordinator.counts.tally import Tally
 from qdgrasp_coordinator.counts.team import TeamFigures
 from qdgrasp_coordinator.serving.chronicle import Chronicle
@@ -128,6 +128,14 @@ def test_what_happens_is_told_when_it_does() -> None:
     assert len(given_up) == poison > 0
     numbers = [from_json(payload, Event).number for payload in heard.of(KEYS.event())]
     assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_whose_work_a_coordinator_goes_on_with_is_told_when_its_turn_begins() -> None:
+    job = Job({"run-1": PLANS["run-1"]}, **{"run-1": Identified})
+    with job.network.session() as bus, bus.ring(KEYS.meta, 8) as ring:
+        job.carry_out()
+        (told,) = [from_json(sample.payload, JobMeta) for sample in ring.take()]
+    assert (told.job, told.epoch, told.identity) == (JOB, 2, "mine")
 
 
 def test_that_trouble_came_and_went_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
