@@ -9,7 +9,7 @@ from qdgrasp_coordinator.campaigns import finding
 from qdgrasp_coordinator.campaigns.budget import tally_within
 from qdgrasp_coordinator.campaigns.programme import Extent
 from qdgrasp_coordinator.campaigns.summary import summary
-from qdgrasp_coordinator.campaigns.totals import Totals
+from qdgrasp_coordinator.counts.totals import Totals, totals
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.runs import preparation
@@ -119,7 +119,7 @@ def finished(path: Path, spec: RunSpec) -> Totals | None:
         return None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in GOALS):
         raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    return Totals.told(summary(folder))
+    return totals(summary(folder))
 
 
 def _counted(folder: RunFolder, spec: RunSpec) -> Totals | None:
@@ -130,8 +130,8 @@ def _counted(folder: RunFolder, spec: RunSpec) -> Totals | None:
         raise EndsTooSoon(folder.path, reason) from None
     if not found.finished:
         return None
-    finding.write(folder, spec, Totals.of(found))
-    return Totals.of(found)
+    finding.write(folder, spec, totals(found))
+    return totals(found)
 
 
 def _share_scene(one: RunSpec, other: RunSpec) -> bool:

@@ -4,13 +4,12 @@
 """
 
 from contextlib import suppress
-from dataclasses import fields
 from importlib.metadata import version
 
 import msgspec
 from msgspec import Struct
 
-from qdgrasp_coordinator.campaigns.totals import Totals
+from qdgrasp_coordinator.counts.totals import NAMES, Totals
 from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
@@ -48,5 +47,4 @@ def _mark(folder: RunFolder, spec: RunSpec) -> str:
     """What the totals depend on: the rows, where they end, and what is counted how."""
     with folder.journal() as journal:
         ends = [str(getattr(spec, key)) for key in GOALS]
-        counts = [field.name for field in fields(Totals)]
-        return " ".join([journal.mark, *ends, version("qdgrasp"), *counts])
+        return " ".join([journal.mark, *ends, version("qdgrasp"), *NAMES])

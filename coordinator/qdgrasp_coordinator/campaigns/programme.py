@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from qdgrasp_coordinator.campaigns.totals import NOTHING, Totals
+from qdgrasp_coordinator.counts.totals import NOTHING, Totals
 from qdgrasp_coordinator.folders.job_folder import RUN
 from qdgrasp_coordinator.runs.assignment import Assignment
 

@@ -1,17 +1,23 @@
 """What a run is and has found: the figures that `info` prints, counted from its journal."""
 
 import msgspec
-from msgspec import Struct
+from msgspec import field, structs
 
 from qdgrasp_coordinator.analysis.diversity import Diversity, diversity, niche_archive
 from qdgrasp_coordinator.analysis.metrics import Eta, Lean, Metrics
-from qdgrasp_coordinator.counts.figures import screened_words
 from qdgrasp_coordinator.counts.tally import tally
+from qdgrasp_coordinator.counts.totals import Totals, totals
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.trials import trials
 
+FIRST = (
+    *("gripper", "object", "method", "protocol", "seed", "overlaps_mode"),
+    *("evaluations", "budget", "rows", "trials"),
+)
+"""What a table says first."""
 
-class Summary(Struct, frozen=True, kw_only=True):
+
+class Summary(Totals, frozen=True, kw_only=True):
     """The figures of a run."""
 
     gripper: str
@@ -21,29 +27,9 @@ class Summary(Struct, frozen=True, kw_only=True):
     seed: int
     overlaps_mode: str
     """Whether overlaps count as evaluations."""
-    evaluations: int
-    """Counted evaluations so far."""
     budget: int
     rows: int
     """Rows in the journal, overlaps and trials included."""
-    trials: int
-    """Rows that repeat a success with drawn disturbances; 0 where the protocol has none."""
-    simulated: int
-    """Genomes whose hand closed: with overlaps mode `redraw` the counted evaluations."""
-    proposals: int
-    """Poses that decoding screened, simulated or not."""
-    overlaps: int
-    """Genomes whose open hand overlapped the object at every pose that was tried."""
-    dead_ends: int
-    """Genomes for which decoding found no pose."""
-    successes: int
-    """A finger touches the object after closing."""
-    grasps: int
-    """Successes that survived at least one of the nominal shakes."""
-    robust: int
-    """Successes that survived both nominal shakes."""
-    cells: int
-    """Distinct 1 cm cells with a success."""
     diversity: Diversity
     """Niches of position, orientation and synergy with a success."""
     qd_score: float
@@ -56,7 +42,6 @@ class Summary(Struct, frozen=True, kw_only=True):
     """How successes lean from the surface normal."""
     eta: Eta | None
     """How likely successes are to transfer; None where the protocol has no trials."""
-    errors: int
     cpu_seconds: float
     wall_seconds: float
     complete: bool
@@ -69,7 +54,7 @@ class Summary(Struct, frozen=True, kw_only=True):
     platform: dict[str, str]
     reduced: str = ""
     """What was left out of the journal, in words; empty where every row is there."""
-    sources: list[str] = []
+    sources: list[str] = field(default_factory=list)
     """The runs that a merged journal is of."""
 
     @property
@@ -78,13 +63,13 @@ class Summary(Struct, frozen=True, kw_only=True):
         return (
             f"{self.evaluations} evaluations of {self.method} with {self.gripper} on {self.object}: "
             f"{self.successes} successes in {self.cells} cells, {self.grasps} grasps, {self.robust} robust; "
-            f"{screened_words(self)}."
+            f"{self.screened}."
         )
 
     @property
     def table(self) -> str:
         """All figures, one to a line."""
-        values = msgspec.structs.asdict(self)
+        values = dict.fromkeys(FIRST, "") | structs.asdict(self)
         platform, sources = values.pop("platform"), values.pop("sources")
         values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
@@ -103,31 +88,21 @@ def summary(folder: RunFolder) -> Summary:
         metrics, archive = Metrics(trials(spec.protocol)), niche_archive(folder)
         found = tally(spec, metrics.counting(archive.inserting(journal.blocks())))
         return Summary(
+            **structs.asdict(totals(found)),
             gripper=spec.gripper,
             object=spec.object,
             method=spec.method,
             protocol=spec.protocol,
             seed=spec.seed,
             overlaps_mode=spec.overlaps,
-            evaluations=found.evaluations,
             budget=spec.evaluations,
             rows=found.rows,
-            trials=found.trials,
-            simulated=found.simulated,
-            proposals=found.proposals,
-            overlaps=found.overlaps,
-            dead_ends=found.dead_ends,
-            successes=found.successes,
-            grasps=found.grasps,
-            robust=found.robust,
-            cells=found.cells,
             diversity=diversity(archive),
             qd_score=metrics.qd_score,
             success_share=found.successes / found.evaluations if found.evaluations else None,
             mean_fitness=metrics.mean_fitness,
             nu=metrics.nu,
             eta=metrics.eta,
-            errors=found.errors,
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,
             complete=found.finished is not None,

@@ -10,7 +10,6 @@ from qdgrasp_coordinator.campaigns.campaign_folder import begin, open_campaign
 from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped, going_on
-from qdgrasp_coordinator.counts.figures import screened_words
 from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.watching.progress import display
 from qdgrasp_coordinator.watching.supervisor import Door, Team
@@ -87,6 +86,6 @@ def finish(folder: JobFolder, asked: Campaign) -> None:
         typer.echo(f"Not all runs are finished; {going_on(folder)}")
     typer.echo(
         f"{found.runs_done} of {found.runs} runs with {found.done.evaluations} evaluations: "
-        f"{found.done.successes} successes in {found.done.cells} cells, {screened_words(found.done)}. "
+        f"{found.done.successes} successes in {found.done.cells} cells, {found.done.screened}. "
         f"`qdgrasp analyse {folder.path}` draws the figures."
     )

@@ -1,46 +1,19 @@
 """The figures of a running search: defined once, published about once a second, shown by whoever listens."""
 
 from datetime import datetime
-from typing import Annotated, Protocol, TypeVar
+from typing import Annotated, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
 
 from qdgrasp_coordinator.counts.entry import RunEntry
+from qdgrasp_coordinator.counts.totals import Totals
 from qdgrasp_protocol.errors import MessageError
 
 MOST = 2**63
 """The most that any number in what is shown may be."""
 FOREVER = 1e10  # seconds that nobody waits for
 PATIENCE = 30.0  # seconds in which a job that has no recorder yet is taken to be starting
-
-
-class Screened(Protocol):
-    """Whatever counts how many poses were screened, and what became of them."""
-
-    @property
-    def simulated(self) -> int:
-        """Rows whose hand closed: with `--overlaps redraw` the counted evaluations."""
-
-    @property
-    def proposals(self) -> int:
-        """Poses that decoding screened, simulated or not."""
-
-    @property
-    def overlaps(self) -> int:
-        """Rows whose open hand overlapped the object; where a genome has candidates, all of them."""
-
-    @property
-    def dead_ends(self) -> int:
-        """Rows for which there was no pose, or none worth a simulation."""
-
-
-def screened_words(found: Screened) -> str:
-    """The other counting, beside evaluations: how much was screened for them."""
-    return (
-        f"{found.simulated} simulated of {found.proposals} proposals, "
-        f"{found.overlaps} overlaps, {found.dead_ends} dead ends"
-    )
 
 
 class Figures(RunEntry, frozen=True, kw_only=True):
@@ -73,7 +46,7 @@ class Figures(RunEntry, frozen=True, kw_only=True):
         return _left(self.remaining, self.rate)
 
 
-class JobFigures(Struct, frozen=True, kw_only=True):
+class JobFigures(Totals, frozen=True, kw_only=True):
     """How far a job is with all of its runs. Travels as JSON on `stat/job`."""
 
     job: str
@@ -86,32 +59,10 @@ class JobFigures(Struct, frozen=True, kw_only=True):
     """Which cannot be carried out."""
     runs_open: int
     """In progress."""
-    evaluations: int
-    """Counted evaluations of all runs."""
     budget: int
     """Counted evaluations after which all runs are over."""
     remaining: int
     """Counted evaluations that runs which are not over may still take; those that end early take fewer."""
-    simulated: int
-    """Genomes whose hand closed."""
-    proposals: int
-    """Poses that decoding screened, simulated or not."""
-    overlaps: int
-    """Genomes whose open hand overlapped the object; where a genome has candidates, all of them."""
-    dead_ends: int
-    """Genomes for which there was no pose, or none worth a simulation."""
-    successes: int
-    """A finger touches the object after closing."""
-    grasps: int
-    """Successes that survived a shake: fitness 1 or more."""
-    robust: int
-    """Successes that survived both shakes: fitness 2."""
-    errors: int
-    """Rows on which the simulator failed three times, trials included."""
-    cells: int
-    """Distinct 1 cm cells with a success, summed over the runs."""
-    trials: int = 0
-    """Trials of successes; 0 where no protocol has them."""
     waiting: int = 0
     """Settled rows that are not known to be on disk: how far the recorder is behind."""
     requeued: int = 0
@@ -143,7 +94,7 @@ class JobFigures(Struct, frozen=True, kw_only=True):
             return f"{done}, starting"
         if self.state == "paused":
             return f"{done}, paused until `qdgrasp continue {self.job}`"
-        found = f"{self.successes} successes in {self.cells} cells, {screened_words(self)}"
+        found = f"{self.successes} successes in {self.cells} cells, {self.screened}"
         trials = f"{self.trials} trials, " if self.trials else ""
         return f"{done}, {self.rate:.0f}/s, {found}, {trials}{self.workers} workers"
 

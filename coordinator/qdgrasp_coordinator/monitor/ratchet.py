@@ -10,13 +10,11 @@ from typing import Any, TypeVar
 from msgspec import structs
 
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta
+from qdgrasp_coordinator.counts.totals import NAMES
 
 Found = TypeVar("Found", Figures, JobFigures)
 
-COUNTS = frozenset({
-    "rows", "evaluations", "trials", "simulated", "proposals", "overlaps", "dead_ends", "successes", "grasps",
-    "robust", "errors", "cells", "outcomes",
-})  # fmt: skip
+COUNTS = frozenset({*NAMES, "rows", "outcomes"})
 """What only grows while a job goes on: numbers, or numbers by name. Jobs do not have all of them."""
 
 

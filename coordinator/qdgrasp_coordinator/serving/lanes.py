@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+
+from msgspec import structs
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.campaigns.programme import Extent, Programme
-from qdgrasp_coordinator.campaigns.totals import Totals
 from qdgrasp_coordinator.counts.figures import JobFigures
+from qdgrasp_coordinator.counts.totals import totals
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.serving.lane import Lane
 from qdgrasp_coordinator.serving.opener import News, Opener
@@ -101,6 +102,7 @@ class Lanes:
         """Take an opened run on."""
         self._is_opening = False
         self._open[lane.run] = lane
+        self._budgets.setdefault(lane.run, lane.tally.budget)  # of a programme that grows
         self._replayed += lane.replayed
         self._keep(lane.assignment.bundle)
 
@@ -120,7 +122,7 @@ class Lanes:
         del self._open[lane.run]
         self._done += 1
         self._budgets.pop(lane.run, None)
-        self._found += Totals.of(lane.tally)
+        self._found += totals(lane.tally)
 
     def reopen(self, lane: Lane) -> None:
         """Let go of a run whose records are less than they were, to go on with it from what there is."""
@@ -155,7 +157,7 @@ class Lanes:
             self._opener.trouble if self._is_opening else "",
             *(lane.record.trouble for lane in lanes),
         ]
-        found = sum((Totals.of(lane.tally) for lane in lanes), self._found)
+        found = sum((totals(lane.tally) for lane in lanes), self._found)
         replayed = self._replayed + sum(lane.replayed for lane in opening)
         seconds = now - self._began
         return JobFigures(
@@ -164,9 +166,9 @@ class Lanes:
             runs_done=self._extent.runs_done + self._done,
             runs_failed=len(self._failures),
             runs_open=len(self._open),
-            budget=self._extent.evaluations,
+            budget=max(self._extent.evaluations, found.evaluations),
             remaining=sum(self._budgets.values()) - sum(map(_spent, lanes)),
-            **asdict(found),
+            **structs.asdict(found),
             waiting=sum(lane.waiting for lane in self._open.values()),
             workers=workers,
             seconds=seconds,

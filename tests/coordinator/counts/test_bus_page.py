@@ -12,11 +12,12 @@ from qdgrasp_coordinator.counts.events import Event, Events
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta
 from qdgrasp_coordinator.counts.meanings import meanings
 from qdgrasp_coordinator.counts.team import TeamFigures, WorkerFigures
+from qdgrasp_coordinator.counts.totals import Totals
 from qdgrasp_protocol.sign import Sign
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "bus.md").read_text()
 SHOWN = (
-    *(JobFigures, RunEntry, Figures, TeamFigures, WorkerFigures, JobMeta),
+    *(Totals, JobFigures, RunEntry, Figures, TeamFigures, WorkerFigures, JobMeta),
     *(Event, Events, Curve, RunEntries, Sign),
 )
 

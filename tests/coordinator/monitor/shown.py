@@ -20,7 +20,7 @@ def meta(job: str = "mugs", runs: int = 3, epoch: int = 2) -> JobMeta:
 
 
 def figures(**more: object) -> JobFigures:
-    counts = dict.fromkeys(("runs_done", "runs_failed", *COUNTS), 0)
+    counts = dict.fromkeys(("runs_done", "runs_failed", "trials", *COUNTS), 0)
     values = {"job": "mugs", "runs": 3, "runs_open": 2, "evaluations": 1000, "budget": 3000, "cells": 5}
     values |= {"workers": 9, "seconds": 10.0, "rate": 100.0} | more
     return JobFigures(**(counts | {"remaining": max(0, values["budget"] - values["evaluations"])} | values))

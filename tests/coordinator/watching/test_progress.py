@@ -28,6 +28,7 @@ FIGURES = JobFigures(
     robust=1_345_678,
     errors=0,
     cells=1_234_567,
+    trials=0,
     workers=256,
     seconds=50_000.0,
     rate=2400.0,
