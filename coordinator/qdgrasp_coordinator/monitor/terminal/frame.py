@@ -21,12 +21,15 @@ from qdgrasp_coordinator.monitor.terminal.lists import (
 )
 from qdgrasp_coordinator.monitor.terminal.parts import curves, found, progress, stages
 from qdgrasp_coordinator.monitor.terminal.table import Lines, fit
+from qdgrasp_coordinator.monitor.view import last_word
 
 LEAST = (40, 12)
 """The least columns and lines in which something can be shown."""
 WIDE = 160  # columns from which two lists stand side by side
 TALLEST = 30
 """The most lines of the curves."""
+AWAY = "The router is away; it is sought until it is back."
+LEFT = "The router has left, as all jobs are over; what begins there is shown."
 KEYS = "q quit  tab job  r runs  w workers  e events  arrows scroll"
 
 
@@ -47,6 +50,18 @@ class Shown:
     def names(self) -> list[str]:
         """The names of the jobs."""
         return [view.job for view in self.views]
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all jobs are: the router of a job on one machine ends with it."""
+        return bool(self.views) and all(last_word(view.figures) for view in self.views)
+
+    @property
+    def link(self) -> Text:
+        """What there is to say about the way to the router; nothing while there is one."""
+        if self.is_linked:
+            return Text()
+        return Text(LEFT) if self.is_over else Text(AWAY, style="bold red")
 
 
 def frame(shown: Shown, choice: Choice, width: int, height: int, glyphs: Glyphs) -> Lines:
@@ -113,9 +128,8 @@ def _head(shown: Shown, width: int, glyphs: Glyphs) -> Lines:
     words = f"qdgrasp-monitor{glyphs.between}{glyphs.text(shown.endpoint)}"
     line = f"{fit(words, width - len(clock) - 1, glyphs)} {clock}"
     lines = [Text(line, style="bold reverse")]
-    if not shown.is_linked:
-        trouble = "The router is away; it is sought until it is back."
-        lines.append(Text(fit(trouble, width, glyphs).rstrip(), style="bold red"))
+    if link := shown.link:
+        lines.append(Text(fit(link.plain, width, glyphs).rstrip(), style=link.style))
     if shown.strangers:
         names = ", ".join(map(glyphs.text, shown.strangers))
         words = f"Watch with their own version of qdgrasp-monitor: {names}"

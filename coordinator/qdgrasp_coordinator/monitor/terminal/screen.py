@@ -78,11 +78,12 @@ def tell(feed: Watched, endpoint: str, console: Console, glyphs: Glyphs, heard: 
 
 def told(shown: Shown, width: int, glyphs: Glyphs) -> list[str]:
     """All jobs in lines of words."""
-    if not shown.is_linked:
-        return ["The router is away; it is sought until it is back."]
+    link = [shown.link.plain] if shown.link else []
+    if link and not shown.is_over:
+        return link
     if not shown.views:
         return [line.plain for line in nothing(shown, width, glyphs)]
-    return [glyphs.text(line) for view in shown.views for line in lines(view, utc_now())]
+    return [glyphs.text(line) for view in shown.views for line in lines(view, utc_now())] + link
 
 
 def look(feed: Watched, endpoint: str) -> Shown:

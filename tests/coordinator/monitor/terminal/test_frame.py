@@ -19,6 +19,7 @@ from qdgrasp_coordinator.counts.figures import MOST, Figures, JobFigures, JobMet
 from qdgrasp_coordinator.counts.team import TeamFigures, WorkerFigures
 from qdgrasp_coordinator.monitor.jobs import Jobs
 from qdgrasp_coordinator.monitor.overview import lines as told
+from qdgrasp_coordinator.monitor.terminal import screen
 from qdgrasp_coordinator.monitor.terminal.choice import Choice
 from qdgrasp_coordinator.monitor.terminal.frame import LEAST, Shown, frame, page, shared, sheet
 from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII, UNICODE, Glyphs
@@ -137,6 +138,14 @@ class TestTrouble:
 
     def test_a_router_that_is_away_is_said(self) -> None:
         assert "The router is away" in text(shown(job(), is_linked=False), 80, 24)
+        assert "The router is away" in text(shown(job(runs_done=1), job("bowls"), is_linked=False), 80, 24)
+
+    def test_a_router_that_left_with_the_last_job_is_not_missed(self) -> None:
+        over = shown(job(runs_done=1), job("bowls", state="cancelled"), is_linked=False)
+        assert "The router has left" in text(over, 80, 24)
+        assert "away" not in text(over, 80, 24)
+        words = screen.told(over, 80, ASCII)
+        assert (words[0][:6], words[-1][:19]) == ("mugs: ", "The router has left")
 
     def test_jobs_of_another_version_are_named(self) -> None:
         assert "Watch with their own version of qdgrasp-monitor: old" in text(
