@@ -27,8 +27,8 @@ from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluate import Evaluator
 
-SERVING = frozenset({"cli", "platform", "serving"})
-"""Modules and folders of this room that bring work and carry results away, without a say in them."""
+SERVING = frozenset({"cli", "platform", "replaying", "serving"})
+"""Modules and folders of this room that bring work, carry results away or show them, with no say in them."""
 CONTRACTS = (
     qdgrasp_assets.genes,
     qdgrasp_assets.hulls,

@@ -2,7 +2,6 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from itertools import accumulate
 from pathlib import Path
 
 import msgspec
@@ -18,6 +17,7 @@ from qdgrasp_coordinator.counts.scores import eta
 from qdgrasp_coordinator.counts.tally import successful
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal import Journal
+from qdgrasp_coordinator.folders.provenance import provenance
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.genome import GIVEN
@@ -192,14 +192,13 @@ def profile(folder: RunFolder, number: int) -> Profile:
         The folder cannot be read.
     """
     with folder.journal() as journal:
-        if not 0 <= number < journal.count:
-            raise NoSuchRow(folder.path, number, journal.count, _nearest(journal))
-        (row,) = np.concatenate(list(journal.kept(number, number + 1)))
-        run, spec, stop = _source(folder, journal, number)
-        repeats = _repeats(journal, row, range(number + 1, stop), trials(spec.protocol))
+        row = numbered(folder, journal, number)
+        found_by = provenance(folder, journal, number)
+        spec, behind = found_by.spec, range(number + 1, found_by.rows.stop)
+        repeats = _repeats(journal, row, behind, trials(spec.protocol))
         told = {
             "folder": str(folder.path),
-            "run": run,
+            "run": found_by.run,
             "number": number,
             "rows": journal.count,
             "scene": journal.scene,
@@ -208,6 +207,20 @@ def profile(folder: RunFolder, number: int) -> Profile:
     return msgspec.convert(
         told | _spec(spec) | _found(row, folder.scene(), spec) | _scored(repeats, spec), Profile
     )
+
+
+def numbered(folder: RunFolder, journal: Journal, number: int) -> np.void:
+    """The row of a number in a folder's journal.
+
+    Raises
+    ------
+    NoSuchRow
+        The journal has none.
+    """
+    if not 0 <= number < journal.count:
+        raise NoSuchRow(folder.path, number, journal.count, _nearest(journal))
+    (row,) = np.concatenate(list(journal.kept(number, number + 1)))
+    return row
 
 
 def _spec(spec: RunSpec) -> dict[str, object]:
@@ -244,15 +257,6 @@ def _scored(repeats: list[float], spec: RunSpec) -> dict[str, object]:
         "trials": len(repeats),
         "eta": float(eta(np.array([sum(repeats)]), known)[0]) if is_scored else None,
     }
-
-
-def _source(folder: RunFolder, journal: Journal, number: int) -> tuple[str, RunSpec, int]:
-    """The run that found a row, its spec, and the number behind the last of its rows."""
-    ends = accumulate(source.kept for source in journal.sources)
-    for source, stop in zip(journal.sources, ends, strict=True):
-        if number < stop:
-            return source.run, source.asked, stop
-    return folder.run, folder.spec, journal.count
 
 
 def _repeats(journal: Journal, row: np.void, behind: range, most: int) -> list[float]:

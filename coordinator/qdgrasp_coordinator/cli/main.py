@@ -20,6 +20,7 @@ from qdgrasp_coordinator.cli import (
     methods,
     prune,
     reference,
+    render,
     rerank,
     resume,
     run,
@@ -49,6 +50,7 @@ for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evalu
 app.command()(campaign.campaign)
 app.command()(analyse.analyse)
 app.command()(show.show)
+app.command()(render.render)
 app.command()(rerank.rerank)
 app.command()(merge.merge)
 app.command()(prune.prune)

@@ -81,6 +81,17 @@ def padded(rows: Rows, shape: Shape) -> Rows:
     return wider
 
 
+def trimmed(rows: Rows, shape: Shape) -> Rows:
+    """The rows as they were before they were `padded`, in their own shape."""
+    if rows.dtype == shape.dtype:
+        return rows
+    narrower = shape.empty(len(rows))
+    for column in COLUMNS:
+        target = narrower[column.name]
+        target[...] = rows[column.name][tuple(slice(n) for n in target.shape)]
+    return narrower
+
+
 def write(
     file: Path, identity: Identity, found: Summary, parts: Iterable[tuple[Source, Iterable[Rows]]]
 ) -> None:

@@ -1,0 +1,1 @@
+"""Looking: one evaluation shown again, and recorded rows evaluated again."""

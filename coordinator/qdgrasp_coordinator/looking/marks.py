@@ -1,0 +1,101 @@
+"""Marks: frames, the approach axis and contacts, drawn where the camera sees them."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_coordinator.looking.canvas import Canvas, Point
+from qdgrasp_protocol.replay import Camera, Pose, Shot, Touch
+
+FRAME = 0.04
+"""Length of the axes of a frame [m]."""
+ARROW = 0.06
+"""Length at which the approach axis is drawn, from the palm [m]."""
+NORMAL = 0.025
+"""Length at which a contact's normal is drawn [m]."""
+AXES = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
+APPROACH = "#aa3377"
+INK = "#22262b"
+CONTACT, OTHER, OVERLAP = "#ee7733", "#c0a020", "#dd1144"
+WORDS = {
+    CONTACT: "contact of a finger",
+    OTHER: "contact of another link",
+    OVERLAP: "overlap of the open hand",
+}
+"""What the colours of contacts mean."""
+BESIDE = 7
+"""Pixels from a point to what is written beside it."""
+Floats = NDArray[np.float64]
+
+
+class Marks:
+    """What is drawn over the frames of one replay.
+
+    Parameters
+    ----------
+    size
+        Of the words [pixels].
+    """
+
+    def __init__(self, gripper: SceneGripper, camera: Camera, size: int) -> None:
+        self._camera = camera
+        self._base = gripper.base_link
+        self._size = size
+        axis = np.array(gripper.approach_axis)
+        reaches = (gripper.palm_offset, gripper.palm_offset + ARROW)
+        self._approach = np.array([reach * axis for reach in reaches])
+
+    def draw(self, canvas: Canvas, shot: Shot) -> None:
+        """Draw all that belongs to a frame."""
+        self._frame(canvas, shot.object, "object, centre of mass")
+        self._frame(canvas, shot.hand, f"hand base {self._base}")
+        self._arrow(canvas, shot.hand)
+        for touch in shot.touches:
+            self._contact(canvas, touch, colour(shot, touch))
+
+    def _frame(self, canvas: Canvas, pose: Pose, name: str) -> None:
+        """The axes of a frame, and its name where they do not point."""
+        origin, *tips = self._seen(placed(pose, np.vstack([np.zeros(3), FRAME * np.eye(3)])))
+        for (axis, hue), tip in zip(AXES.items(), tips, strict=True):
+            canvas.arrow(origin, tip, hue)
+            canvas.write((tip[0] + BESIDE, tip[1]), axis, self._size, hue)
+        away = np.array(origin) - np.mean(tips, axis=0)
+        x, y = np.array(origin) + 2 * BESIDE * away / max(1.0, float(np.hypot(*away)))
+        canvas.write((x, y), name, self._size, INK, leftward=bool(away[0] < 0))
+
+    def _arrow(self, canvas: Canvas, hand: Pose) -> None:
+        """From the palm along the approach axis."""
+        palm, far = self._seen(placed(hand, self._approach))
+        canvas.arrow(palm, far, APPROACH, width=2.5)
+        canvas.write((far[0] + BESIDE, far[1]), "approach", self._size, APPROACH)
+
+    def _contact(self, canvas: Canvas, touch: Touch, hue: str) -> None:
+        point = np.array(touch.point)
+        start, end = self._seen(np.array([point, point + NORMAL * np.array(touch.normal)]))
+        canvas.arrow(start, end, hue, width=1.5)
+        canvas.disc(start, 3.0, hue)
+
+    def _seen(self, points: Floats) -> list[Point]:
+        return [(column, row) for column, row in self._camera.pixels(points).tolist()]
+
+
+def placed(pose: Pose, points: Floats) -> Floats:
+    """Points (n, 3) of a frame at a pose, in the frame of the pose."""
+    moved: Floats = Rotation.from_quat(pose[3:]).apply(points) + pose[:3]
+    return moved
+
+
+def colour(shot: Shot, touch: Touch) -> str:
+    """The colour of a contact: what it means."""
+    if shot.phase == "placed" and touch.distance < 0:
+        return OVERLAP
+    return CONTACT if touch.is_finger else OTHER
+
+
+def colours(shots: Iterable[Shot]) -> list[str]:
+    """The colours of the contacts in some frames, in the order of the legend."""
+    found = {colour(shot, touch) for shot in shots for touch in shot.touches}
+    return [hue for hue in WORDS if hue in found]

@@ -1,0 +1,102 @@
+"""A replay: one evaluation that is shown again, asked for and told in the files of one folder.
+
+Whoever asks and whoever shows are processes of different rooms. Lengths are metres, quaternions xyzw; the
+frame of all of it is the object's centre-of-mass frame as the object lies at first.
+"""
+
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", "frames.npy"
+"""The files: the scene's bytes, a `Request`, an `Answer`, and the frames (n, height, width, 3), uint8."""
+
+What = Literal["all", "closing", "shakes"]
+Phase = Literal["placed", "closing", "shake z", "shake x"]
+Vector = tuple[float, float, float]
+Pose = tuple[float, float, float, float, float, float, float]
+"""x y z [m], qx qy qz qw."""
+
+
+class Request(Struct, frozen=True, kw_only=True):
+    """What is to be shown."""
+
+    genome: tuple[float, ...]
+    """Of the prior `given`, each number as float32 has it."""
+    trial: int
+    """0: the nominal evaluation."""
+    width: int
+    height: int
+    view: tuple[float, float] | None = None
+    """Azimuth and elevation of the camera about the object's z [deg]; None: where fingers and object are seen
+    best."""
+    what: What | None = None
+    """The part of the evaluation that is filmed; None: one frame, of the hand after closing."""
+    parts: bool = False
+    """Whether the object is drawn as its convex parts, which are simulated, instead of its surface."""
+
+
+class Touch(Struct, frozen=True, kw_only=True):
+    """A point where hand and object touch."""
+
+    link: str
+    """Of the hand."""
+    is_finger: bool
+    """Whether a touch of this link makes a success."""
+    point: Vector
+    """On the object."""
+    normal: Vector
+    """The object's there, unit, towards the hand."""
+    distance: float
+    """Negative where they penetrate."""
+
+
+class Shot(Struct, frozen=True, kw_only=True):
+    """One frame."""
+
+    phase: Phase
+    step: int
+    """Steps since the phase began."""
+    seconds: float
+    """For how long it is shown."""
+    hand: Pose
+    """Of the hand's base link."""
+    object: Pose
+    touches: tuple[Touch, ...]
+
+
+class Camera(Struct, frozen=True, kw_only=True):
+    """From where it is seen."""
+
+    azimuth: float
+    """[deg]"""
+    elevation: float
+    """[deg]"""
+    matrix: tuple[float, ...]
+    """(4, 4), row by row: from homogeneous points to OpenGL's clip coordinates."""
+    width: int
+    height: int
+
+    def pixels(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Where points (n, 3) are seen: columns and rows (n, 2) from the image's upper left corner."""
+        whole = np.column_stack([points, np.ones(len(points))])
+        clip = whole @ np.array(self.matrix).reshape(4, 4).T
+        right, up = (clip[:, :2] / clip[:, 3:]).T
+        return np.column_stack([(1 + right) / 2 * self.width, (1 - up) / 2 * self.height])
+
+
+class Answer(Struct, frozen=True, kw_only=True):
+    """What was seen."""
+
+    outcome: int
+    """`Outcome`."""
+    fitness: int
+    joints: tuple[float, ...]
+    """Finger joints as a row has them."""
+    contacts: int
+    penetration: float
+    camera: Camera
+    """The same for all frames."""
+    shots: tuple[Shot, ...]

@@ -1,0 +1,1 @@
+"""Replaying: one evaluation is carried out again, and drawn; nothing of it has a say in results."""
