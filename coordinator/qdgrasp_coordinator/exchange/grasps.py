@@ -4,7 +4,7 @@
 one that held the object.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.counts import whole
 from qdgrasp_coordinator.counts.poses import as_given, opened
 from qdgrasp_coordinator.counts.scores import SHAKES
-from qdgrasp_coordinator.counts.whole import taken
 from qdgrasp_coordinator.exchange.frames import COM, MESH, Floats, Frame, moved, to_matrices
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.genome import NO_SYNERGY
@@ -30,7 +30,7 @@ class Found(NamedTuple):
     """A run that found grasps."""
 
     run: str
-    """The name of its folder, or in its job."""
+    """The name of its folder."""
     spec: RunSpec
 
 
@@ -86,7 +86,7 @@ class Grasps:
             self.sources,
             self.origins[places],
             self.numbers[places],
-            taken(self.rows, places),
+            whole.taken(self.rows, places),
             self.eta[places],
         )
 
@@ -188,3 +188,17 @@ class Grasps:
     def matrices(self, frame: Frame = MESH) -> Floats:
         """(n, 4, 4): the same as homogeneous matrices."""
         return to_matrices(self.poses(frame))
+
+
+def joined(parts: Sequence[Grasps]) -> Grasps:
+    """Grasps of one run one behind the other."""
+    first = parts[0]
+    return Grasps(
+        first.scene,
+        first.spec,
+        first.sources,
+        np.concatenate([part.origins for part in parts]),
+        np.concatenate([part.numbers for part in parts]),
+        whole.joined([part.rows for part in parts]),
+        np.concatenate([part.eta for part in parts]),
+    )

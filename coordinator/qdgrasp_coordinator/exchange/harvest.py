@@ -65,7 +65,7 @@ class _Part(NamedTuple):
 def _sections(folder: RunFolder, journal: Journal) -> list[Section]:
     """Which rows are whose; all are the folder's own unless it was merged or pruned."""
     if not journal.sources:
-        return [Section(Found(folder.run, folder.spec), 0, journal.count)]
+        return [Section(Found(folder.path.absolute().name, folder.spec), 0, journal.count)]
     ends = [0, *accumulate(source.kept for source in journal.sources)]
     return [
         Section(Found(source.run, source.asked), start, stop)

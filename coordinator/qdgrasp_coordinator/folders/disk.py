@@ -56,20 +56,30 @@ def create(
     DiskFull, FolderError
         It cannot be made.
     """
+    with writing(path), workshop(path) as part:
+        for name, payload in files.items():
+            write(part / name, payload)
+        for name in folders:
+            (part / name).mkdir()
+        fill(part)
+        part.rename(path)  # replaces an empty folder, and nothing else
+        sync(path.absolute().parent)
+
+
+@contextmanager
+def workshop(path: Path) -> Iterator[Path]:
+    """A folder beside `path` in which what shall be there is made; gone in the end, unless it was renamed.
+
+    What processes that were killed had begun to make is removed.
+    """
     whole = path.absolute()
     part = whole.with_name(f".{whole.name}.{os.getpid()}.part")
     try:
-        with writing(path), ExitStack() as stack:
+        with ExitStack() as stack:
             _sweep(whole)
             part.mkdir(parents=True)
             stack.enter_context(_held(part))
-            for name, payload in files.items():
-                write(part / name, payload)
-            for name in folders:
-                (part / name).mkdir()
-            fill(part)
-            part.rename(path)  # replaces an empty folder, and nothing else
-            sync(whole.parent)
+            yield part
     finally:
         shutil.rmtree(part, ignore_errors=True)
 

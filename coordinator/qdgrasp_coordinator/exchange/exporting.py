@@ -1,0 +1,94 @@
+"""Exporting: from a run's folder to a file of grasps."""
+
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_coordinator.exchange.about import about
+from qdgrasp_coordinator.exchange.choosing import choose
+from qdgrasp_coordinator.exchange.frames import frame_of
+from qdgrasp_coordinator.exchange.grasps import Grasps, joined
+from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.writing import ALL, Format, check_free, format_of, write
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.outcome import Outcome
+
+
+def export(
+    folder: RunFolder,
+    out: Path,
+    name: str,
+    *,
+    min_fitness: int = 1,
+    top: int | None = None,
+    diverse: int | None = None,
+    frame: str = "mesh",
+    negatives: int | None = None,
+    force: bool = False,
+) -> str:
+    """Write the chosen grasps of a run in the format of that name.
+
+    Parameters
+    ----------
+    out
+        The file, or folder, that is written; it appears whole or not at all.
+    min_fitness, top, diverse
+        As in `choose`.
+    frame
+        "mesh" or "com": where the poses are told.
+    negatives
+        How many failures are written behind the grasps, at most; None: as many as is usual in the format.
+    force
+        Whether `out` may be replaced.
+
+    Returns
+    -------
+    words
+        What was written, for a person.
+
+    Raises
+    ------
+    InputError
+        There is no such format or frame, there is nothing to write, or it cannot be read or written.
+    """
+    form, told_in = format_of(name), frame_of(frame)
+    wanted = _negatives(form, negatives)
+    check_free(out, form, force=force)
+    every = read_grasps(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
+    chosen = choose(every, min_fitness, top, diverse)
+    if not len(chosen):
+        raise InputError(_nothing(folder, every, min_fitness))
+    failures = _failures(every, wanted)
+    written = joined([chosen, failures])
+    write(out, form, written, about(folder, written, told_in))
+    beside = f" and {len(failures)} failures" if wanted else ""
+    return f"{len(chosen)} grasps{beside} written to {out}, poses in the object's {told_in} frame."
+
+
+def _negatives(form: Format, asked: int | None) -> int:
+    """How many failures are to be written, or `ALL`."""
+    if asked and form.negatives is None:
+        raise InputError(f"{form.name} has no place for failures; leave --negatives out.")
+    return asked if asked is not None else form.negatives or 0
+
+
+def _failures(every: Grasps, most: int) -> Grasps:
+    """The evaluations that were no grasps; of more than `most` some that are spread over the journal."""
+    places = np.flatnonzero(~every.is_grasp)
+    if most != ALL and most < len(places):
+        places = places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
+    return every[places if most else places[:0]]
+
+
+def _nothing(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
+    """What is said where there is no grasp to write."""
+    successes = every[every.is_success]
+    if not len(successes):
+        with folder.journal() as journal:
+            return f"{folder.path} has no grasp to write: none of its {journal.count} rows is a success."
+    best = int(successes.fitness.max())
+    return (
+        f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
+        f"{len(successes)} successes have {best}, and --min-fitness {best} writes those."
+    )

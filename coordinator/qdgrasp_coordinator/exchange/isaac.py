@@ -1,0 +1,171 @@
+"""Isaac Grasp YAML, format version 1.0: one file for one hand and one object, joints by name.
+
+Public descriptions: Isaac Sim, "Grasp Editor" (keys `object_frame_link`, `gripper_frame_link`), and Isaac
+ROS, "Isaac Grasp File" (`object_frame`, `gripper_frame`); files here have both. Readers of either take the
+poses from `grasps` and pass over what they do not know, such as the block `qdgrasp`.
+"""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.rotation import Floats
+from qdgrasp_coordinator.exchange.about import About
+from qdgrasp_coordinator.exchange.decimals import decimals
+from qdgrasp_coordinator.exchange.grasps import Grasps
+from qdgrasp_coordinator.exchange.told import Told, Unusable
+from qdgrasp_coordinator.exchange.yaml_text import Tree, block, read_tree, word
+
+FORMAT, VERSION = "isaac_grasp", 1.0
+BESIDE = "grasps"
+"""The lists in the block `qdgrasp` that have an item for each grasp."""
+WXYZ = "w, then xyz = [x, y, z]"
+
+
+def write(path: Path, grasps: Grasps, about: About) -> None:
+    """Write grasps as Isaac Grasp YAML."""
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f"format: {FORMAT}\nformat_version: {VERSION}\n")
+        file.write(block(_frames(about) | {"qdgrasp": about.told(quaternions=WXYZ).values}))
+        file.writelines(_beside(grasps))
+        file.write("grasps:\n")
+        file.writelines(_lines(grasps, about))
+
+
+def _frames(about: About) -> dict[str, str]:
+    """The frames by both spellings of their keys."""
+    names = {"object_frame": about.object, "gripper_frame": about.gripper_frame}
+    return {f"{key}_link": name for key, name in names.items()} | names
+
+
+def _beside(grasps: Grasps) -> Iterator[str]:
+    """What the format has no place for, in the order of the grasps, as the end of the block `qdgrasp`."""
+    yield f"  {BESIDE}:\n"
+    names = [word(name) for name in grasps.synergy_names] + ["''"]
+    known = ~np.isnan(grasps.eta)
+    etas = np.where(known, np.array(decimals(grasps.eta[:, None])).reshape(-1), "null")
+    for key, words in (
+        ("fitness", map(str, grasps.fitness.tolist())),
+        ("eta", etas.tolist()),
+        ("synergy", (names[label] for label in grasps.synergies.tolist())),
+    ):
+        yield f"    {key}: [{', '.join(words)}]\n"
+
+
+def _lines(grasps: Grasps, about: About) -> Iterator[str]:
+    """The lines of each grasp."""
+    joints = [word(name) for name in grasps.joint_names]
+    numbers = grasps.numbers.tolist()
+    confidences = decimals(grasps.confidence[:, None])
+    tables = (
+        confidences,
+        decimals(grasps.poses(about.frame)),
+        decimals(grasps.joints),
+        decimals(grasps.pregrasp),
+    )
+    for number, (confidence,), (x, y, z, qx, qy, qz, qw), closed, start in zip(numbers, *tables, strict=True):
+        yield (
+            f"  grasp_{number}:\n"
+            f"    confidence: {confidence}\n"
+            f"    position: [{x}, {y}, {z}]\n"
+            f"    orientation: {{w: {qw}, xyz: [{qx}, {qy}, {qz}]}}\n"
+            f"    cspace_position:{_mapping(joints, closed)}"
+            f"    pregrasp_cspace_position:{_mapping(joints, start)}"
+        )
+
+
+def _mapping(names: list[str], values: list[str]) -> str:
+    if not names:
+        return " {}\n"
+    return "\n" + "".join(f"      {name}: {value}\n" for name, value in zip(names, values, strict=True))
+
+
+def read(path: Path) -> Told:
+    """The grasps in an Isaac Grasp YAML file, of ours or of others.
+
+    Raises
+    ------
+    Unusable
+        It is damaged, or is another YAML file.
+    """
+    tree = read_tree(path)
+    if not isinstance(tree, dict) or tree.get("format") != FORMAT:
+        raise Unusable(path, f"it is YAML, but not an Isaac grasp file: it has no 'format: {FORMAT}'")
+    if _numbers(path, "format_version", [tree.get("format_version", "")], 1) != [VERSION]:
+        raise Unusable(path, f"it is of format version {tree['format_version']}; {VERSION} is read")
+    grasps = tree.get("grasps")
+    if not isinstance(grasps, dict):
+        raise Unusable(path, "its key 'grasps' must hold grasps by name")
+    about = _about(path, tree)
+    return Told(
+        names=np.array(list(grasps), dtype=str),
+        poses=np.array([_pose(path, name, grasp) for name, grasp in grasps.items()]).reshape(-1, 7),
+        starts=_joints(path, grasps, "pregrasp_cspace_position"),
+        joints=tuple(_joints(path, grasps, "cspace_position")),
+        synergies=_synergies(path, tree, len(grasps)),
+        confidence=np.array([_confidence(path, name, grasp) for name, grasp in grasps.items()]),
+        scale=about.object_scale if about else None,
+        about=about,
+    )
+
+
+def _about(path: Path, tree: dict[str, Tree]) -> About | None:
+    if "qdgrasp" not in tree:
+        return None
+    try:
+        return msgspec.convert(tree["qdgrasp"], About, strict=False)  # every number is a word yet
+    except msgspec.ValidationError as error:
+        raise Unusable(path, f"its block 'qdgrasp' cannot be read ({error})") from None
+
+
+def _synergies(path: Path, tree: dict[str, Tree], count: int) -> NDArray[np.str_] | None:
+    ours = tree.get("qdgrasp")
+    beside = ours.get(BESIDE) if isinstance(ours, dict) else None
+    if not isinstance(beside, dict) or "synergy" not in beside:
+        return None
+    names = beside["synergy"]
+    if not isinstance(names, list) or len(names) != count or not all(isinstance(name, str) for name in names):
+        raise Unusable(path, f"the list 'synergy' of its block 'qdgrasp' must have {count} names")
+    return np.array(names, dtype=str)
+
+
+def _pose(path: Path, name: str, grasp: Tree) -> list[float]:
+    """Position [m] and quaternion xyzw."""
+    told = grasp if isinstance(grasp, dict) else {}
+    orientation = told.get("orientation")
+    turn = orientation if isinstance(orientation, dict) else {}
+    return [
+        *_numbers(path, f"{name}: position", told.get("position"), 3),
+        *_numbers(path, f"{name}: orientation: xyz", turn.get("xyz"), 3),
+        *_numbers(path, f"{name}: orientation: w", [turn.get("w", "")], 1),
+    ]
+
+
+def _confidence(path: Path, name: str, grasp: Tree) -> float:
+    told = grasp.get("confidence") if isinstance(grasp, dict) else None
+    return np.nan if told is None else _numbers(path, f"{name}: confidence", [told], 1)[0]
+
+
+def _joints(path: Path, grasps: dict[str, Tree], key: str) -> dict[str, Floats]:
+    """Joints by name (n,), NaN where a grasp does not tell of one."""
+    found: dict[str, Floats] = {}
+    for place, (name, grasp) in enumerate(grasps.items()):
+        told = grasp.get(key, {}) if isinstance(grasp, dict) else {}
+        if not isinstance(told, dict):
+            raise Unusable(path, f"{name}: {key} must hold joints by name")
+        for joint, value in told.items():
+            values = found.setdefault(joint, np.full(len(grasps), np.nan))
+            (values[place],) = _numbers(path, f"{name}: {key}: {joint}", [value], 1)
+    return found
+
+
+def _numbers(path: Path, what: str, values: Tree | None, count: int) -> list[float]:
+    """So many numbers, which are words yet."""
+    if isinstance(values, list) and len(values) == count:
+        with suppress(ValueError, TypeError):
+            return [float(value) for value in values]  # type: ignore[arg-type]  # what is no word is no number
+    raise Unusable(path, f"{what} must be {'a number' if count == 1 else f'{count} numbers'}")

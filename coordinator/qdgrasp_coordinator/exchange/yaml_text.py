@@ -1,0 +1,119 @@
+"""YAML: words and blocks of text to write, and files of others to read without trust."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from qdgrasp_coordinator.exchange.told import Unusable
+
+PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
+RESERVED = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
+DEEPEST = 16
+"""Levels of lists and mappings in a file that is read."""
+LARGEST = 1 << 30
+"""Bytes of a file that is read."""
+
+Tree = str | list["Tree"] | dict[str, "Tree"]
+"""What a file holds; every number is still a word."""
+
+
+def word(name: str) -> str:
+    """A word as YAML has it, quoted where it must be."""
+    is_plain = PLAIN.fullmatch(name) and name.lower() not in RESERVED
+    return name if is_plain else json.dumps(name, ensure_ascii=False)
+
+
+def block(values: dict[str, Any]) -> str:
+    """A mapping as lines of YAML; lists of numbers in one line, texts of several lines as such."""
+    import yaml
+
+    class Dumper(yaml.SafeDumper):
+        """With lists of numbers in one line, and texts of several lines as blocks."""
+
+    def sequence(dumper: yaml.SafeDumper, values: Any) -> yaml.SequenceNode:
+        is_plain = not any(isinstance(value, dict | str) for value in values)
+        return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=is_plain)
+
+    def text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
+        style = "|" if "\n" in value else None
+        return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+    Dumper.add_representer(str, text)
+    Dumper.add_representer(list, sequence)
+    Dumper.add_representer(tuple, sequence)
+    written = yaml.dump(
+        values, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=1 << 20, default_flow_style=False
+    )
+    return str(written)
+
+
+def read_tree(path: Path) -> Tree:
+    """What a YAML file of one document holds.
+
+    Aliases are refused, since a small file of them can stand for a huge one, and so are tags: nothing in it
+    is ever made into an object.
+
+    Raises
+    ------
+    Unusable
+        It cannot be read, is not YAML, or is refused.
+    """
+    import yaml
+
+    try:
+        if path.stat().st_size > LARGEST:
+            raise Unusable(path, f"it is larger than {LARGEST >> 20} MiB")
+        with path.open("rb") as file:
+            return _tree(path, yaml.parse(file, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)))
+    except OSError as error:
+        raise Unusable(path, error.strerror or str(error)) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"line {mark.line + 1}: " if mark else ""
+        raise Unusable(path, f"it is not YAML ({where}{getattr(error, 'problem', None) or error})") from None
+
+
+def _tree(path: Path, events: Iterator[Any]) -> Tree:
+    """Build what events tell of, without recursion."""
+    import yaml
+
+    whole: list[Tree] = []
+    open_: list[tuple[Tree, list[str]]] = [(whole, [])]
+    for event in events:
+        if (
+            isinstance(event, yaml.AliasEvent)
+            or getattr(event, "anchor", None)
+            or getattr(event, "tag", None)
+        ):
+            raise Unusable(path, f"line {event.start_mark.line + 1}: anchors, aliases and tags are not read")
+        match event:
+            case yaml.ScalarEvent():
+                _put(path, open_[-1], event.value, event)
+            case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
+                made: Tree = {} if isinstance(event, yaml.MappingStartEvent) else []
+                _put(path, open_[-1], made, event)
+                open_.append((made, []))
+                if len(open_) > DEEPEST:
+                    raise Unusable(path, f"it is nested more than {DEEPEST} levels deep")
+            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
+                open_.pop()
+    if len(whole) != 1:
+        raise Unusable(path, f"it must be one YAML document, and is {len(whole)}")
+    return whole[0]
+
+
+def _put(path: Path, parent: tuple[Tree, list[str]], value: Tree, event: Any) -> None:
+    """Add a value where it belongs; in a mapping every other one is a key."""
+    holder, key = parent
+    if isinstance(holder, list):
+        holder.append(value)
+    elif not key and isinstance(value, str):
+        key.append(value)
+    elif not key:
+        raise Unusable(path, f"line {event.start_mark.line + 1}: a key must be a word")
+    elif key[0] in holder:
+        raise Unusable(path, f"line {event.start_mark.line + 1}: '{key[0]}' stands there twice")
+    else:
+        holder[key.pop()] = value  # type: ignore[index]  # the holder of keys is a mapping
