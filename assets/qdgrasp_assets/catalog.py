@@ -6,11 +6,12 @@ from pathlib import Path
 from qdgrasp_assets import ycb
 from qdgrasp_assets.files import searched
 from qdgrasp_assets.gripper import Gripper, read_gripper, read_gripper_file
+from qdgrasp_assets.mesh_file import check_file
 from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.surface import SURFACES
 from qdgrasp_assets.target import Target, read_target, vector
-from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 GRIPPERS = Path(__file__).parent / "grippers"
@@ -98,12 +99,17 @@ def find_object(spec: RunSpec) -> Target:
 
 def _find_target(spec: RunSpec) -> Target:
     name = spec.object
+    if spec.scale is not None and (name in STAND_INS or name in ycb.SCANS):
+        raise AssetError(
+            f"The object '{name}' of the catalog has its own size: leave --scale and --units out, which are "
+            "for mesh files."
+        )
     if name in STAND_INS:
         return stand_in(name)
     if name in ycb.SCANS:
         return ycb.read_scan(name, spec.protocol)
     check_object(name)
-    return read_target(Path(name).expanduser(), spec.mass)
+    return read_target(Path(name).expanduser(), spec.mass, spec.scale)
 
 
 def check_object(name: str) -> None:
@@ -114,12 +120,15 @@ def check_object(name: str) -> None:
     UnknownName
         It is none of these.
     AssetError
-        It is a scan's, which is not there.
+        It is a scan's, which is not there, or a folder.
     """
+    path = Path(name).expanduser()
     if name in ycb.SCANS:
         ycb.check_there(name)
-    elif name not in STAND_INS and not _is_file(Path(name).expanduser()):
-        hint = f"Or name a mesh file in metres, with its mass. Scans lie on the asset path ({searched()})."
+    elif name not in STAND_INS and path.is_dir():
+        check_file(path)
+    elif name not in STAND_INS and not _is_file(path):
+        hint = f"Or name a mesh file, with its mass. Scans lie on the asset path ({searched()})."
         raise UnknownName("object", name, object_names(), hint)
 
 

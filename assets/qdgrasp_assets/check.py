@@ -8,10 +8,13 @@ from pathlib import Path
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.convex import parts_at_hand
 from qdgrasp_assets.files import searched
+from qdgrasp_assets.inspection import inspect
 from qdgrasp_assets.lock import pin
-from qdgrasp_assets.mesh import Mesh, read_mesh
+from qdgrasp_assets.mesh import Mesh
+from qdgrasp_assets.mesh_file import read_mesh
 from qdgrasp_assets.objects.stand_ins import STAND_INS, stand_in
 from qdgrasp_assets.scans import SCANS, differences, fetched_mesh, put_right, size
+from qdgrasp_assets.solid import read_draft
 from qdgrasp_assets.solidity import faults
 from qdgrasp_protocol.errors import QdgraspError, UnknownName
 
@@ -97,9 +100,9 @@ _SCANS: dict[str, Callable[[str], Report]] = {
 
 
 def _mesh_file(name: str) -> Report:
-    path = Path(name).expanduser()
-    mesh = read_mesh(path)
-    return _of_mesh(name, mesh, "" if faults(mesh) else _known_hulls(mesh))
+    draft = read_draft(Path(name).expanduser())
+    found = inspect(draft, name, parts=False)
+    return Report(name, found.facts + (() if found.faults else (_known_hulls(draft.mesh),)), found.faults)
 
 
 def _of_mesh(name: str, mesh: Mesh, *more: str) -> Report:

@@ -8,6 +8,7 @@ import hashlib
 import logging
 import tempfile
 import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,11 +25,18 @@ log = logging.getLogger(__name__)
 THRESHOLDS = (0.1, 0.05, 0.025)
 """CoACD's concavities in the order in which they are tried: the first whose parts fit is taken."""
 TIME_LIMIT = 1200.0  # s, for all of them; a scan of 16 000 triangles takes some minutes
+Tell = Callable[[str], None]
 _unfinished: dict[str, tuple[Mesh, ...]] = {}
 """What was found of meshes before time ran out: this process takes it again, and others try anew."""
 
 
-def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple[Mesh, ...]:
+def quietly(_sentence: str) -> None:
+    """Hear what is told, and say nothing."""
+
+
+def convex_parts(
+    mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = quietly
+) -> tuple[Mesh, ...]:
     """Convex parts that together stand for a mesh, in its frame; the same mesh gives the same parts.
 
     Where no parts fit, or time runs out, the finest there are are taken, with a warning. Those for which time
@@ -42,6 +50,8 @@ def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple
         How errors and the progress sentence call it.
     time_limit
         How long CoACD may take [s].
+    tell
+        Hears what is tried, each time that something else is.
 
     Raises
     ------
@@ -58,16 +68,18 @@ def convex_parts(mesh: Mesh, name: str, time_limit: float = TIME_LIMIT) -> tuple
     )
     cached = _cached(mesh)
     _make_folder(cached.parent, name)
-    parts, is_final = _coarsest(mesh, name, time_limit)
+    parts, is_final = _coarsest(mesh, name, time_limit, tell)
     if not is_final:
         return _unfinished.setdefault(_key(mesh), parts)
     _keep(parts, cached, name)
     return read_parts(cached)
 
 
-def collision_parts(mesh: Mesh, name: str) -> tuple[str, tuple[Mesh, ...]]:
-    """Where the convex parts of a mesh come from, "own hull" or "coacd", and the parts."""
-    return "own hull" if is_convex(mesh) else "coacd", convex_parts(mesh, name)
+def collision_parts(
+    mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = quietly
+) -> tuple[str, tuple[Mesh, ...]]:
+    """Where the convex parts of a mesh come from, "own hull" or "coacd", and the parts of `convex_parts`."""
+    return "own hull" if is_convex(mesh) else "coacd", convex_parts(mesh, name, time_limit, tell)
 
 
 def parts_at_hand(mesh: Mesh) -> tuple[Mesh, ...] | None:
@@ -83,11 +95,12 @@ def is_convex(mesh: Mesh) -> bool:
     return Room(mesh).fit((hull(mesh.vertices),)).is_good
 
 
-def _coarsest(mesh: Mesh, name: str, time_limit: float) -> tuple[tuple[Mesh, ...], bool]:
+def _coarsest(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[tuple[Mesh, ...], bool]:
     """The fewest parts that fit, or the last that were found; and whether there was time for all."""
     space, deadline = Room(mesh), time.monotonic() + time_limit
     found: tuple[Mesh, ...] = ()
-    for threshold in THRESHOLDS:
+    for turn, threshold in enumerate(THRESHOLDS, start=1):
+        tell(f"convex parts with a concavity of {threshold:g} ({turn} of at most {len(THRESHOLDS)})")
         try:
             found = decompose(mesh, name, threshold, deadline - time.monotonic())
         except TookTooLong:

@@ -9,7 +9,7 @@ from qdgrasp_assets.archive import read_member
 from qdgrasp_assets.download import PATIENCE, Progress, download
 from qdgrasp_assets.files import data_folder
 from qdgrasp_assets.lock import Pin, keep, pin, users_lock, write_whole
-from qdgrasp_assets.mesh import read_mesh
+from qdgrasp_assets.mesh_file import read_mesh
 from qdgrasp_assets.scans import SCANS, Scan, differences, fetched_mesh, put_right
 from qdgrasp_assets.solidity import faults
 from qdgrasp_protocol.errors import AssetError, UnknownName, WrongScan

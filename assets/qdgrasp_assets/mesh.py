@@ -1,6 +1,5 @@
-"""Triangle meshes: what they measure, and reading them strictly from files."""
+"""Triangle meshes: what they measure, and files of convex parts."""
 
-import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +11,6 @@ from qdgrasp_assets.obj import read_obj
 from qdgrasp_protocol.errors import AssetError
 
 Floats = NDArray[np.float64]
-log = logging.getLogger(__name__)
-
-LARGEST = 2.0  # m: what a hand could grasp is smaller, so a larger mesh was drawn in millimetres
-FLATTEST = 1e-12  # m3: a closed mesh with less volume has no inside
 
 
 @dataclass(frozen=True)
@@ -67,7 +62,7 @@ class Mesh:
         return high - low
 
     @property
-    def _cone_volumes(self) -> Floats:
+    def cone_volumes(self) -> Floats:
         """(f,) [m3]: signed volumes of the tetrahedra between the triangles and the origin."""
         a, b, c = np.moveaxis(self.corners, 1, 0)
         volumes: Floats = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
@@ -76,14 +71,32 @@ class Mesh:
     @property
     def volume(self) -> float:
         """Enclosed volume [m3]; negative for a mesh that is inside out."""
-        return float(self._cone_volumes.sum())
+        return float(self.cone_volumes.sum())
 
     @property
     def centre_of_mass(self) -> Floats:
         """(3,) [m]: of the enclosed volume, at uniform density."""
-        moments = self._cone_volumes[:, None] * self.corners.sum(axis=1) / 4
+        moments = self.cone_volumes[:, None] * self.corners.sum(axis=1) / 4
         centre: Floats = moments.sum(axis=0) / self.volume
         return centre
+
+    @property
+    def inertia(self) -> Floats:
+        """(3, 3) [m2]: of the enclosed volume at uniform density, for 1 kg, about its centre of mass."""
+        low, high = self.bounds
+        near = self.moved(-(low + high) / 2)  # far from the origin, it would be a difference of large numbers
+        corners, volumes = near.corners, near.cone_volumes
+        sums = corners.sum(axis=1)
+        moments = np.einsum("f,fi,fj->ij", volumes, sums, sums)
+        moments += np.einsum("f,fki,fkj->ij", volumes, corners, corners)
+        centre = near.centre_of_mass
+        spread = moments / 20 / near.volume - np.outer(centre, centre)
+        inertia: Floats = np.trace(spread) * np.eye(3) - (spread + spread.T) / 2
+        return inertia
+
+    def scaled(self, scale: float) -> "Mesh":
+        """The mesh with its coordinates multiplied by `scale`."""
+        return Mesh(self.vertices * scale, self.faces)
 
     def moved(self, shift: Iterable[float]) -> "Mesh":
         """The mesh shifted by (3,) [m]."""
@@ -102,76 +115,6 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
         np.concatenate([mesh.vertices for mesh in meshes]),
         np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]),
     )
-
-
-def read_solid(path: Path) -> Mesh:
-    """A closed surface from any mesh file that trimesh reads, in metres; one or several bodies.
-
-    A mesh that is inside out is turned, with a warning.
-
-    Raises
-    ------
-    AssetError
-        It is not there, unreadable, empty, in millimetres, not watertight, wound both ways or flat.
-    """
-    read = _read(path)
-    mesh = Mesh(np.asarray(read.vertices, dtype=np.float64), np.asarray(read.faces, dtype=np.int64))
-    if not len(mesh.faces):
-        raise AssetError(f"The mesh '{path}' is empty: it has no triangles.")
-    _check_size(path, mesh.extents)
-    if not read.is_watertight:
-        raise AssetError(
-            f"The mesh '{path}' is not watertight: it has edges with only one triangle, so it has no inside; "
-            "close its holes."
-        )
-    if not read.is_winding_consistent:
-        raise AssetError(f"The mesh '{path}' has triangles wound both ways; make all of them face outward.")
-    if abs(mesh.volume) < FLATTEST:
-        raise AssetError(f"The mesh '{path}' is flat: it encloses no volume.")
-    if mesh.volume < 0:
-        log.warning("The mesh '%s' is inside out (negative volume): its triangles were turned.", path)
-        return mesh.flipped()
-    return mesh
-
-
-def read_mesh(path: Path) -> Mesh:
-    """The triangles of any mesh file that trimesh reads, coincident vertices merged, nothing else checked.
-
-    Raises
-    ------
-    AssetError
-        It is not there, unreadable or empty.
-    """
-    read = _read(path)
-    mesh = Mesh(np.asarray(read.vertices, dtype=np.float64), np.asarray(read.faces, dtype=np.int64))
-    if not len(mesh.faces):
-        raise AssetError(f"The mesh '{path}' is empty: it has no triangles.")
-    return mesh
-
-
-def _read(path: Path):  # type: ignore[no-untyped-def]  # trimesh has no types that mypy can use here
-    """What trimesh makes of the file, duplicate vertices merged."""
-    if not path.is_file():
-        raise AssetError(f"No mesh file at '{path}'.")
-    if not path.stat().st_size:
-        raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
-    import trimesh
-
-    try:
-        return trimesh.load_mesh(path)
-    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
-        raise AssetError(f"The mesh '{path}' cannot be read: {type(error).__name__}: {error}.") from None
-
-
-def _check_size(path: Path, extents: Floats) -> None:
-    if not np.isfinite(extents).all():
-        raise AssetError(f"The mesh '{path}' has vertices that are not finite.")
-    if extents.max() > LARGEST:
-        size = " x ".join(f"{side:.4g}" for side in extents)
-        raise AssetError(
-            f"The mesh '{path}' is {size} m large, so it looks like millimetres; meshes are in metres: "
-            "scale it by 0.001."
-        )
 
 
 def read_parts(path: Path) -> tuple[Mesh, ...]:

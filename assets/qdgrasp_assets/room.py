@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.mesh import Floats, Mesh
 from qdgrasp_assets.objects.solids import heights
+from qdgrasp_assets.rays import ahead
 from qdgrasp_assets.surface import sample
 
 POINTS = 10_000
@@ -70,16 +71,3 @@ def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
     within: NDArray[np.bool_] = np.all((points >= low - margin) & (points <= high + margin), axis=1)
     within[within] = (heights(part, points[within]) <= margin).all(axis=1)
     return within
-
-
-def ahead(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.float32]:
-    """How far it is from points (n, 3) to the mesh in directions (n, 3), unit: (n,) [m]; far if nowhere."""
-    from embreex import rtcore_scene
-    from embreex.mesh_construction import TriangleMesh
-
-    scene = rtcore_scene.EmbreeScene(robust=True)
-    TriangleMesh(scene, mesh.corners.astype(np.float32))
-    distances: NDArray[np.float32] = scene.run(
-        points.astype(np.float32), directions.astype(np.float32), query="DISTANCE"
-    )
-    return distances

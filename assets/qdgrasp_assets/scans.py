@@ -8,7 +8,8 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.files import data_folder
-from qdgrasp_assets.mesh import Floats, Mesh, read_mesh
+from qdgrasp_assets.mesh import Floats, Mesh
+from qdgrasp_assets.mesh_file import read_mesh
 
 EXTENTS_TOLERANCE = 5e-5  # m; the table is rounded to 1e-5
 VOLUME_TOLERANCE = 1e-3  # share

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.convex import collision_parts
-from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj, read_solid
+from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj
 from qdgrasp_assets.scene import SceneObject, Vector
+from qdgrasp_assets.solid import read_solid
 from qdgrasp_protocol.errors import AssetError
 
 LATERAL_FRICTION = 0.5
@@ -62,23 +63,35 @@ class Target:
         )
 
 
-def read_target(path: Path, mass: float | None) -> Target:
-    """An object from any closed mesh file in metres; its CoM is that of the enclosed volume.
+def read_target(path: Path, mass: float | None, scale: float | None = None) -> Target:
+    """An object from any closed mesh file; its CoM is that of the enclosed volume.
 
     Its convex parts serve `released` too, as the collision mesh that normals come from.
+
+    Parameters
+    ----------
+    mass
+        [kg]
+    scale
+        Metres to a unit of the file; None: 1.
 
     Raises
     ------
     AssetError
         The mesh cannot be used, or there is no mass.
     """
-    mesh = read_solid(path)
+    mesh = read_solid(path, scale)
     if mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
+    return target_of(mesh, path, mass, scale)
+
+
+def target_of(mesh: Mesh, path: Path, mass: float, scale: float | None = None) -> Target:
+    """An object of a closed mesh [m] that was read from `path`; parameters and errors as of `read_target`."""
     collision_source, parts = collision_parts(mesh, path.name)
     return Target(
         name=path.stem,
-        source=path.name,
+        source=path.name if scale is None else f"{path.name} (scale {scale:g})",
         licence="not stated",
         collision_source=collision_source,
         mass=mass,

@@ -9,8 +9,9 @@ from msgspec import Struct, ValidationError, convert
 from qdgrasp_assets import scans
 from qdgrasp_assets.convex import collision_parts
 from qdgrasp_assets.files import on_asset_path, searched
-from qdgrasp_assets.mesh import read_parts, read_solid
+from qdgrasp_assets.mesh import read_parts
 from qdgrasp_assets.objects.stand_ins import STAND_INS
+from qdgrasp_assets.solid import read_solid
 from qdgrasp_assets.target import Target
 from qdgrasp_protocol.errors import AssetError
 

@@ -33,9 +33,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     gripper: str
     """A built-in gripper, one on the asset path, or a gripper's TOML file."""
     object: str
-    """A built-in object, one on the asset path, or a mesh file in metres."""
+    """A built-in object, one on the asset path, or a mesh file."""
     mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
     """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
+    scale: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+    """Metres to a unit of the object's mesh file, which its coordinates are multiplied by; None: 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
     method: str = DEFAULT_METHOD

@@ -45,16 +45,20 @@ def test_all_that_is_wrong_with_a_mesh_is_said(written):
     large = BOX.copy().apply_scale(1000)
     faults = check(written(large, slice(1, None))).faults
     assert len(faults) == 2
-    assert "40 m large, which looks like millimetres" in faults[0]
+    assert (
+        "40 m large, larger than what a hand grasps; it looks like millimetres: add --units mm" in faults[0]
+    )
     assert "3 edges have only one triangle" in faults[1]
 
 
-def test_winding_is_checked(written):
+def test_winding_is_put_right_and_told_of(written):
     mixed = BOX.copy()
     mixed.faces[0] = mixed.faces[0][::-1]
-    assert "wound both ways along 3 edges" in check(written(mixed)).faults[0]
+    assert "repaired: 1 triangles turned, wound like their neighbours" in check(written(mixed)).facts
     inverted = trimesh.Trimesh(BOX.vertices, BOX.faces[:, ::-1], process=False)
-    assert "inside out" in check(written(inverted)).faults[0]
+    found = check(written(inverted))
+    assert found.faults == ()
+    assert "inside out" in " ".join(found.facts)
 
 
 def test_a_flat_mesh_is_called_flat(written):

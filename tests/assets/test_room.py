@@ -6,7 +6,8 @@ import pytest
 from qdgrasp_assets.mesh import Mesh, join
 from qdgrasp_assets.objects.mug import PATH, mug
 from qdgrasp_assets.objects.solids import box, hull
-from qdgrasp_assets.room import Room, ahead
+from qdgrasp_assets.rays import ahead
+from qdgrasp_assets.room import Room
 
 SLIT, WIDE = 0.004, 0.03
 

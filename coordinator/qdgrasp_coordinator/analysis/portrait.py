@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.mesh import Mesh, join
 from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_assets.solidity import Edges
 from qdgrasp_assets.target import Target
 from qdgrasp_coordinator.analysis.hand import Hand, hand
 from qdgrasp_coordinator.analysis.layers import FINE, Image
@@ -25,6 +27,7 @@ AZIMUTH = np.radians(35.0)
 FRAME = 0.04
 """Length of the axes of a frame [m]."""
 AXES = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
+OPEN = "#d62728"
 STANDOFF = "#aa3377"
 
 Piece = tuple[Mesh, Floats]
@@ -64,6 +67,25 @@ def draw_object(target: Target, path: Path) -> None:
     figure, seen, views = _two_views(target.name, words, panels)
     for axes in views:
         _frame(axes, seen, np.eye(3))
+    figure.savefig(path, format="png")
+
+
+def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
+    """Draw a mesh from two sides to a PNG file, around its middle; open edges are red, those behind too."""
+    low, high = mesh.bounds
+    size = " x ".join(f"{side:.4g}" for side in high - low)
+    loose, centred = mesh.vertices[Edges(mesh).loose], mesh.moved(-(low + high) / 2)
+    sides = {"one side": np.eye(3), "the other": Rotation.from_euler("z", 180, degrees=True).as_matrix()}
+    panels = {
+        title: [(Mesh(centred.vertices @ side.T, mesh.faces), rgb(CLAY))] for title, side in sides.items()
+    }
+    words = f"{size} m, axes of the mesh file around its middle, edges with one triangle: {len(loose)}"
+    figure, seen, views = _two_views(name, words, panels)
+    for axes, side in zip(views, sides.values(), strict=True):
+        _frame(axes, seen, side)
+        ends = (loose - (low + high) / 2) @ side.T
+        lines = [[seen_at(seen, start), seen_at(seen, end)] for start, end in ends]
+        axes.add_collection(LineCollection(lines, colors=OPEN, linewidths=1.2))
     figure.savefig(path, format="png")
 
 

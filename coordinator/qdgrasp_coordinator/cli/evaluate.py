@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.counts.poses import read_poses, write_scores
 from qdgrasp_coordinator.runs.preparation import make_bundle
@@ -22,6 +23,8 @@ def evaluate(
     poses: Annotated[Path | None, typer.Option(help="The poses: an npz file, see below.")] = None,
     out: Annotated[Path | None, typer.Option(help="Where the scores go: an npz file.")] = None,
     mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
     friction: options.Friction = None,
     protocol: options.ProtocolOption = None,
     workers: options.Workers = None,
@@ -40,6 +43,7 @@ def evaluate(
         "gripper": gripper,
         "object": object_,
         "mass": mass,
+        "scale": scale_of(units, scale),
         "friction": friction,
         "protocol": protocol,
     }

@@ -27,6 +27,7 @@ from qdgrasp_coordinator.cli import (
     security,
     show,
 )
+from qdgrasp_coordinator.cli import object as object_
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.logs import speak
@@ -63,6 +64,7 @@ app.command("continue")(administer.continue_)
 app.command()(administer.cancel)
 app.command()(administer.drain)
 app.add_typer(asset.app, name="asset")
+app.add_typer(object_.app, name="object")
 app.add_typer(reference.app, name="reference")
 app.add_typer(security.app, name="security")
 

@@ -7,8 +7,14 @@ from typing import Annotated
 import typer
 
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
-Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file [m].")]
+Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
 Mass = Annotated[float | None, typer.Option(help="Mass of the object [kg]; needed for a mesh file.")]
+Scale = Annotated[
+    float | None, typer.Option(metavar="S", help="Metres to a unit of the mesh file; default 1.")
+]
+Units = Annotated[
+    str | None, typer.Option(metavar="mm|cm|m|in", help="The unit of the mesh file, for --scale.")
+]
 Friction = Annotated[float | None, typer.Option(help="Lateral friction of the object; default 0.5.")]
 ProtocolOption = Annotated[
     str | None,

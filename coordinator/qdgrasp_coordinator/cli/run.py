@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped, going_on
@@ -27,6 +28,8 @@ def run(
     gripper: options.Gripper = None,
     object_: options.Object = None,
     mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
     friction: options.Friction = None,
     method: Annotated[str | None, typer.Option(help=f"Search method; default {DEFAULT_METHOD}.")] = None,
     protocol: options.ProtocolOption = None,
@@ -70,6 +73,7 @@ def run(
         "gripper": gripper,
         "object": object_,
         "mass": mass,
+        "scale": scale_of(units, scale),
         "friction": friction,
         "method": method,
         "protocol": protocol,

@@ -1,0 +1,163 @@
+"""Mesh files of any format that is read here, as one mesh in the unit of the file; and writing them."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qdgrasp_assets.mesh import Mesh
+from qdgrasp_protocol.errors import AssetError
+
+ALWAYS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
+"""Formats that are read with what is installed anyway."""
+NEEDED = {
+    ".3mf": "lxml and networkx",
+    ".dae": "pycollada",
+    ".zae": "pycollada",
+    ".xaml": "lxml",
+    ".3dxml": "lxml and networkx",
+    ".step": "cascadio",
+    ".stp": "cascadio",
+    ".ctm": "openctm",
+}
+"""Packages that trimesh reads a format with, which are installed by whoever wants it."""
+
+WRITTEN = (".stl", ".obj", ".ply", ".off", ".glb")
+"""Formats that are written."""
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """What a mesh file holds."""
+
+    mesh: Mesh
+    """In the unit of the file; coincident vertices of each geometry merged, all geometries joined."""
+    geometries: int
+    unit: float | None
+    """Metres to a unit, where the file says so itself."""
+
+
+def read_mesh(path: Path) -> Mesh:
+    """The triangles of any mesh file that is read here; parameters and errors as of `read_mesh_file`."""
+    return read_mesh_file(path).mesh
+
+
+def read_mesh_file(path: Path) -> MeshFile:
+    """What a mesh file holds; nothing else is checked.
+
+    Raises
+    ------
+    AssetError
+        It is not there, no mesh of a format that can be read here, or empty.
+    """
+    check_file(path)
+    scene = _loaded(path)
+    geometries = [found for found in scene.geometry.values() if hasattr(found, "faces")]
+    if not all(np.isfinite(found.vertices).all() for found in geometries):
+        raise AssetError(
+            f"The mesh '{path}' has vertices that are not finite (nan or inf); export it again from the "
+            "program that drew it."
+        )
+    for found in geometries:
+        found.process()  # merges coincident vertices, and would leave those out that are not finite
+    whole = scene.to_mesh()
+    mesh = Mesh(np.asarray(whole.vertices, dtype=np.float64), np.asarray(whole.faces, dtype=np.int64))
+    if not len(mesh.faces):
+        raise AssetError(
+            f"The mesh '{path}' is empty, or no {path.suffix} file: it has no triangles; an object needs a "
+            "surface, and points or lines alone are none."
+        )
+    return MeshFile(mesh, len(scene.graph.nodes_geometry), _unit(scene))
+
+
+def check_file(path: Path) -> None:
+    """Check that there is a file with something in it.
+
+    Raises
+    ------
+    AssetError
+        It is a folder, not there, or has no bytes.
+    """
+    if path.is_dir():
+        raise AssetError(
+            f"'{path}' is a folder, and an object is one mesh file; `qdgrasp campaign --objects {path}` "
+            "takes every mesh in a folder."
+        )
+    if not path.is_file():
+        raise AssetError(f"No mesh file at '{path}'.")
+    if not path.stat().st_size:
+        raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
+
+
+def _loaded(path: Path) -> Any:
+    """What trimesh makes of the file: a scene of its geometries, as they came."""
+    import trimesh
+    from trimesh.exchange.load import mesh_formats
+
+    kind = path.suffix.lower()
+    if kind.removeprefix(".") not in mesh_formats():
+        raise AssetError(_not_read(path, kind))
+    try:
+        return trimesh.load_scene(path, process=False)
+    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
+        raise AssetError(
+            f"The mesh '{path}' cannot be read as {kind}: {type(error).__name__}: {error}; export it again, "
+            "for example as STL."
+        ) from None
+
+
+def _not_read(path: Path, kind: str) -> str:
+    if kind in NEEDED:
+        return (
+            f"The mesh '{path}' cannot be read: {kind} needs {NEEDED[kind]}, which is not installed; "
+            f"`pip install {NEEDED[kind].replace(' and', '')}`, or export it as STL, OBJ, PLY or GLB."
+        )
+    return (
+        f"The mesh '{path}' cannot be read: '{kind}' is not among the formats {', '.join(ALWAYS)} "
+        f"({', '.join(NEEDED)} with packages of their own); export it as one of these."
+    )
+
+
+def _unit(scene: Any) -> float | None:
+    """Metres to the unit that the file states; GLB has no other than metres."""
+    from trimesh.units import unit_conversion
+
+    try:
+        return float(unit_conversion(scene.units, "meters")) if scene.units else None
+    except (KeyError, ValueError):
+        return None
+
+
+def write_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a mesh [m] to a new file, whole or not at all.
+
+    Raises
+    ------
+    AssetError
+        It is there already, cannot be written, or is of no format that is.
+    """
+    check_new(path)
+    import trimesh
+
+    content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(
+        file_type=path.suffix.lower().removeprefix(".")
+    )
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            beside = Path(folder) / path.name
+            beside.write_bytes(content.encode() if isinstance(content, str) else content)
+            beside.replace(path)
+    except OSError as error:
+        raise AssetError(f"The mesh cannot be written to '{path}': {error.strerror or error}.") from None
+
+
+def check_new(path: Path) -> None:
+    """Check that a mesh may be written to a file; errors as of `write_mesh`."""
+    if path.suffix.lower() not in WRITTEN:
+        raise AssetError(
+            f"No mesh can be written to '{path}': name a file that ends with {', '.join(WRITTEN)}."
+        )
+    if path.exists():
+        raise AssetError(f"'{path}' is there already, and is not written over; name another file.")

@@ -1,0 +1,142 @@
+"""`qdgrasp object`: what an object of one's own is, and what is wrong with it."""
+
+import json
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from qdgrasp_assets.catalog import object_names
+from qdgrasp_assets.convex import TIME_LIMIT, Tell, quietly
+from qdgrasp_assets.inspection import Inspection, inspect
+from qdgrasp_assets.mesh_file import check_new, write_mesh
+from qdgrasp_assets.solid import Draft, read_draft
+from qdgrasp_assets.target import target_of
+from qdgrasp_assets.units import in_words, scale_of
+from qdgrasp_coordinator.cli import options
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.spec import run_spec
+
+app = typer.Typer(no_args_is_help=True, help="Objects of one's own: check them, and repair their meshes.")
+
+
+@app.callback()
+def _group() -> None:
+    """Keep `check` a command of its own while it is the only one."""
+
+
+@app.command()
+def check(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A mesh: STL, OBJ, PLY, OFF or GLB.")],
+    units: options.Units = None,
+    scale: options.Scale = None,
+    mass: options.Mass = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Draw it and its convex parts, or where it is open.")
+    ] = None,
+    repaired: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT", help="Write the mesh as it is used, in metres, to a new file."),
+    ] = None,
+    fill_holes: Annotated[
+        bool, typer.Option("--fill-holes", help="Fill holes up to a fifth of the object's size.")
+    ] = False,
+    no_parts: Annotated[
+        bool, typer.Option("--no-parts", help="Do not look for convex parts, which may take minutes.")
+    ] = False,
+    time_limit: Annotated[
+        float, typer.Option(metavar="SECONDS", min=1, help="How long convex parts are looked for.")
+    ] = TIME_LIMIT,
+    as_json: options.Json = False,
+) -> None:
+    """Say what an object of your own is, what was repaired, and what is wrong with it.
+
+    Merged, dropped and turned is what must be, in every run as here; holes are filled only where that is
+    asked for, and the file that --repaired writes is then the object. It ends with exit code 2 where the
+    object cannot be used.
+
+    Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
+    """
+    metres, path = _checked(units, scale, mass), _found(file)
+    if repaired is not None:
+        check_new(repaired)
+    draft = read_draft(path, metres, fill_holes=fill_holes)
+    with _told(as_json) as tell:
+        found = inspect(
+            draft, file, scale=metres, mass=mass, parts=not no_parts, time_limit=time_limit, tell=tell
+        )
+    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    for line in _made(found, draft, path, picture, repaired):
+        typer.echo(line, err=as_json)
+    if found.faults:
+        raise AssetError(f"The object '{file}' cannot be used as it is: {'; and '.join(found.faults)}.")
+    used, used_scale = (file, metres) if repaired is None else (str(repaired), None)
+    typer.echo(f"next: {_next(used, used_scale, mass)}", err=as_json)
+
+
+def _checked(units: str | None, scale: float | None, mass: float | None) -> float | None:
+    """The scale, as a run would take it; and the mass."""
+    metres = scale_of(units, scale)
+    given = {"gripper": "", "object": "", "scale": metres, "mass": mass}
+    run_spec({name: value for name, value in given.items() if value is not None}, "object check")
+    return metres
+
+
+def _found(file: str) -> Path:
+    path = Path(file).expanduser()
+    if not path.exists() and file in object_names():
+        raise AssetError(
+            f"'{file}' is an object of the catalog, no file; `qdgrasp asset check {file}` checks it."
+        )
+    return path
+
+
+@contextmanager
+def _told(is_quiet: bool) -> Iterator[Tell]:
+    """Show what takes long, and for how long it has, on a terminal."""
+    console = Console(stderr=True)
+    if is_quiet or not console.is_terminal:
+        yield quietly
+        return
+    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as shown:
+        task = shown.add_task("")
+        yield lambda sentence: shown.update(task, description=sentence)
+
+
+def _made(
+    found: Inspection, draft: Draft, path: Path, picture: Path | None, repaired: Path | None
+) -> Iterator[str]:
+    """Draw and write what was asked for, and say so."""
+    if picture is not None:
+        yield f"drawn: {_drawn(found, draft, path, picture)}"
+    if repaired is not None and not found.faults:
+        write_mesh(repaired, draft.mesh)
+        yield f"written: {repaired}, in metres, with {len(draft.mesh.faces)} triangles"
+
+
+def _drawn(found: Inspection, draft: Draft, path: Path, folder: Path) -> Path:
+    """The picture of an object, in a folder that is made where it is not there."""
+    # matplotlib takes half a second to import, and most commands draw nothing
+    from qdgrasp_coordinator.analysis.portrait import draw_mesh, draw_object
+
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = folder / f"{path.stem}.png"
+    if found.convex is None:
+        draw_mesh(path.name, draft.mesh, picture)
+    else:
+        draw_object(target_of(draft.mesh, path, found.mass or 1.0), picture)
+    return picture
+
+
+def _next(file: str, scale: float | None, mass: float | None) -> str:
+    """The command that makes a run of the object."""
+    size = "" if scale is None else f" {in_words(scale)}"
+    weight = "KG" if mass is None else f"{mass:g}"
+    return f"qdgrasp run --gripper panda --object {shlex.quote(file)}{size} --mass {weight}"
