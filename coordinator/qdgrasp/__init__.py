@@ -1,1 +1,95 @@
-"""Archives of diverse, robust 6-DoF grasps by distributed quality-diversity search."""
+"""Archives of diverse, robust 6-DoF grasps by distributed quality-diversity search.
+
+What a program needs of it (docs/python.md):
+
+* `open(path)`            a run's folder: its spec, its scene, its figures, its grasps as arrays
+* `evaluate(...)`         scores of hand poses
+* `Evaluations(...)`      rows of genomes, whenever an optimiser of one's own wants some
+* `optimise(search, ...)` a run with a search of one's own, asked and told in order, and its folder
+* `serve(evaluator)`      an evaluator of one's own, as a worker on the bus
+
+`Place` says where that is done. Nothing is loaded before it is used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from qdgrasp.evaluations import Evaluations, evaluate
+    from qdgrasp.optimising import Search, optimise
+    from qdgrasp.places import Place
+    from qdgrasp.runs import Run, open  # noqa: A004 - said as qdgrasp.open
+    from qdgrasp.serving import serve
+    from qdgrasp_assets.scene import Scene
+    from qdgrasp_coordinator.exchange.grasps import Grasp, Grasps
+    from qdgrasp_protocol.errors import InputError, QdgraspError
+    from qdgrasp_protocol.genome import Genomes, Layout
+    from qdgrasp_protocol.outcome import Outcome
+    from qdgrasp_protocol.rows import Rows
+    from qdgrasp_protocol.spec import RunSpec
+    from qdgrasp_worker.serving.candidates import Candidates, Verdicts
+
+HOMES = {
+    "Candidates": "qdgrasp_worker.serving.candidates",
+    "Evaluations": "qdgrasp.evaluations",
+    "Genomes": "qdgrasp_protocol.genome",
+    "Grasp": "qdgrasp_coordinator.exchange.grasps",
+    "Grasps": "qdgrasp_coordinator.exchange.grasps",
+    "InputError": "qdgrasp_protocol.errors",
+    "Layout": "qdgrasp_protocol.genome",
+    "Outcome": "qdgrasp_protocol.outcome",
+    "Place": "qdgrasp.places",
+    "QdgraspError": "qdgrasp_protocol.errors",
+    "Rows": "qdgrasp_protocol.rows",
+    "Run": "qdgrasp.runs",
+    "RunSpec": "qdgrasp_protocol.spec",
+    "Scene": "qdgrasp_assets.scene",
+    "Search": "qdgrasp.optimising",
+    "Verdicts": "qdgrasp_worker.serving.candidates",
+    "evaluate": "qdgrasp.evaluations",
+    "open": "qdgrasp.runs",
+    "optimise": "qdgrasp.optimising",
+    "serve": "qdgrasp.serving",
+}
+"""The module of each name, loaded when the name is used first."""
+
+__all__ = [
+    "Candidates",
+    "Evaluations",
+    "Genomes",
+    "Grasp",
+    "Grasps",
+    "InputError",
+    "Layout",
+    "Outcome",
+    "Place",
+    "QdgraspError",
+    "Rows",
+    "Run",
+    "RunSpec",
+    "Scene",
+    "Search",
+    "Verdicts",
+    "__version__",
+    "evaluate",
+    "open",
+    "optimise",
+    "serve",
+]
+
+__version__: str
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        value: Any = import_module("importlib.metadata").version("qdgrasp")
+    elif name in HOMES:
+        value = getattr(import_module(HOMES[name]), name)
+    else:
+        raise AttributeError(f"module 'qdgrasp' has no attribute '{name}'; it has {', '.join(__all__)}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

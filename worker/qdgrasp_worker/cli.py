@@ -50,6 +50,12 @@ def worker(
         ),
     ] = 10,
     pin: Annotated[bool, typer.Option("--pin", help="Keep each of several workers on one core.")] = False,
+    evaluator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.py:NAME", help="Judge poses with Python code of your own, in the simulator's place."
+        ),
+    ] = None,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Evaluate the probe set, print the platform as JSON, and end.")
     ] = False,
@@ -77,11 +83,12 @@ def worker(
             Team(workers, arguments(context), grace=grace, wait=wait, is_pinned=pin).run(stop)
             raise typer.Exit(stop.exit_code)
         from qdgrasp_worker.serving.events import Inbox
-        from qdgrasp_worker.serving.workshop import Workshop
+        from qdgrasp_worker.serving.workshop import Workshop, child_of
 
         credentials = Credentials.find(security, Role.WORKER)
         inbox: Inbox = SimpleQueue()
-        with Workshop.open(inbox.put, row_seconds, memory * MEGABYTE, nice) as workshop:
+        simulator = child_of(evaluator)
+        with Workshop.open(inbox.put, row_seconds, memory * MEGABYTE, nice, simulator) as workshop:
             from qdgrasp_protocol.zenoh_bus import ZenohBus  # the first simulator starts meanwhile
             from qdgrasp_worker.serving.bundles import Bundles
             from qdgrasp_worker.serving.service import WorkerService

@@ -10,7 +10,7 @@ from qdgrasp_coordinator.counts.goals import Goals
 from qdgrasp_coordinator.folders.job_folder import RUN
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.runs.pipeline import Pipeline
-from qdgrasp_coordinator.searches.search import check, method
+from qdgrasp_coordinator.searches.search import Search, check, method
 from qdgrasp_coordinator.searches.space import space
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
@@ -61,8 +61,13 @@ def make_bundle(spec: RunSpec) -> tuple[Scene, Bundle]:
 def assignment(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> Assignment:
     """A run, ready for the coordinator."""
     chosen = method(spec.method)
+    return with_search(chosen.build(spec, space(scene, chosen.prior)), spec, scene, bundle, run)
+
+
+def with_search(search: Search, spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> Assignment:
+    """The same with a search of whatever making, that asks genomes of the method's prior."""
+    chosen = method(spec.method)
     shape = scene_shape(scene, chosen.prior)
-    search = chosen.build(spec, space(scene, chosen.prior))
     pipeline = Pipeline(
         search,
         shape,

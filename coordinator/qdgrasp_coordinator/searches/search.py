@@ -7,7 +7,7 @@ rows and its space; the paper's methods take no notice of what the genes mean.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, NoReturn, Protocol
 
 from qdgrasp_assets import genes
 from qdgrasp_coordinator.searches import cma_mae, given
@@ -150,6 +150,22 @@ SCORING = Method(GIVEN, GIVEN, _given, given.check, "count", 500, "The poses of 
 """No search: what re-scores grasps; it is not offered among the methods."""
 
 
+def _elsewhere(spec: RunSpec, *_space: Space) -> NoReturn:
+    raise ImpossibleValue(
+        "method",
+        spec.method,
+        "one of `qdgrasp methods`: this is a search that a program of its own carries out, and goes on with "
+        "(`qdgrasp.optimise` with resume=True)",
+    )
+
+
+CUSTOM = {
+    prior: Method(f"custom_{prior}", prior, _elsewhere, _elsewhere, "count", 500, "A program's own search.")
+    for prior in PRIORS
+}
+"""What stands in the spec of a run whose search came from outside, by prior: its folder is read like any."""
+
+
 def method(name: str) -> Method:
     """The method of a name.
 
@@ -158,7 +174,7 @@ def method(name: str) -> Method:
     UnknownName
         No method is called so; the known ones are named.
     """
-    known = {**METHODS, SCORING.name: SCORING}
+    known = METHODS | {other.name: other for other in (SCORING, *CUSTOM.values())}
     if name not in known:
         raise UnknownName("method", name, METHODS)
     return known[name]

@@ -2,14 +2,15 @@
 
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, repeat
 from math import inf
+from pathlib import Path
 
 import structlog
 
-from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_worker.serving.docket import Docket
 from qdgrasp_worker.serving.frames import Broken, Lacking, Part, Ready, Said, Settings
 from qdgrasp_worker.serving.limits import PROBE_SECONDS, STALL
@@ -29,6 +30,26 @@ ROOM = 1.4
 STRIKES = 3
 """A scene that ended so many simulators while it was loaded is not tried again."""
 CHILD = [sys.executable, "-m", "qdgrasp_worker.serving.child"]
+
+
+def child_of(evaluator: str | None) -> list[str]:
+    """What starts a simulator: ours, or one with an evaluator that is named FILE.py:NAME or MODULE:NAME.
+
+    Raises
+    ------
+    InputError
+        That is no such name, or there is no such file.
+    """
+    if evaluator is None:
+        return CHILD
+    where, mark, name = evaluator.rpartition(":")
+    if not (mark and where and name):
+        raise InputError(f"An evaluator is named FILE.py:NAME or MODULE:NAME, got '{evaluator}'.")
+    if where.endswith(".py"):
+        if not Path(where).is_file():
+            raise InputError(f"There is no file {where} to take the evaluator '{name}' from.")
+        where = str(Path(where).resolve())
+    return [sys.executable, "-m", "qdgrasp_worker.serving.own", f"{where}:{name}"]
 
 
 class NoSimulator(QdgraspError):
@@ -91,10 +112,17 @@ class Workshop:
         self._simulator = hire()
 
     @classmethod
-    def open(cls, hear: Callable[[News], None], row_seconds: float, memory: int, nice: int) -> "Workshop":
+    def open(
+        cls,
+        hear: Callable[[News], None],
+        row_seconds: float,
+        memory: int,
+        nice: int,
+        command: Sequence[str] = CHILD,
+    ) -> "Workshop":
         """A workshop with simulators of its own, the first of which starts now."""
         settings = Settings(row_seconds=row_seconds, memory=round(ROOM * memory), nice=nice)
-        return cls(lambda: Simulator(CHILD, settings, hear), row_seconds=row_seconds, memory=memory)
+        return cls(lambda: Simulator(command, settings, hear), row_seconds=row_seconds, memory=memory)
 
     def __enter__(self) -> "Workshop":
         return self

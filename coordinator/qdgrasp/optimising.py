@@ -1,0 +1,198 @@
+"""Optimising: a run whose search comes from a program, with the folder that every run has."""
+
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Protocol, TypeAlias, Unpack
+
+from numpy.typing import ArrayLike
+
+from qdgrasp.genomes import checked, layout_of
+from qdgrasp.places import HERE, Place, Quiet, Stage, opened
+from qdgrasp.runs import Run
+from qdgrasp.scenery import Scenery, spec_of
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.campaigns.programme import Single
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.runs.preparation import with_search
+from qdgrasp_coordinator.searches.search import CUSTOM, method
+from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.service import CoordinatorService
+from qdgrasp_coordinator.watching.progress import Display, display
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
+from qdgrasp_protocol.genome import Genomes, Layout
+from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import MOST, RunSpec, differences
+
+
+class Search(Protocol):
+    """A search of one's own: asked and told generation by generation, each once and in order.
+
+    Where what it asks depends on nothing but what it was told, and on seeds, its run has the same journal
+    whatever the workers do, and can be resumed.
+    """
+
+    def ask(self, generation: int) -> ArrayLike:
+        """The genomes of a generation: (n, d) in [-1, 1], n at most 4096; none when nothing is left."""
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """Hear what all of them gave: rows (n,) in their order; `rows["fitness"]` is what counts.
+
+        Where the protocol has trials it is the sum over those of a success. The generation that reaches the
+        budget is not told.
+        """
+
+
+Make: TypeAlias = Callable[[Layout], Search]
+"""Makes a search that nothing was asked of, for genomes with this layout: a class, most often."""
+
+
+class Looked:
+    """A program's search, whose genomes are looked at before anybody evaluates them."""
+
+    def __init__(self, search: Search, layout: Layout) -> None:
+        self._search = search
+        self._layout = layout
+
+    def ask(self, generation: int) -> Genomes:
+        """The genomes of a generation, as float32."""
+        genomes = checked(self._search.ask(generation), self._layout)
+        if len(genomes) > MOST:
+            raise ImpossibleValue("genomes", genomes.shape, f"at most {MOST} in a generation")
+        return genomes
+
+    def tell(self, generation: int, rows: Rows) -> None:
+        """What they gave."""
+        self._search.tell(generation, rows)
+
+
+def optimise(
+    make: Make,
+    out: str | os.PathLike[str],
+    *,
+    evaluations: int,
+    prior: str = "contact",
+    seed: int = 0,
+    generations_in_flight: int = 1,
+    resume: bool = False,
+    progress: bool = False,
+    place: Place = HERE,
+    **scenery: Unpack[Scenery],
+) -> Run:
+    """Carry out a run with a search of one's own: coordinator, recorder and workers as of any run.
+
+    The folder is a run's: `qdgrasp info`, `show`, `export` and the others read it. Only this goes on with it.
+
+    Parameters
+    ----------
+    make
+        Makes the search; called with the genes' names and intervals. The search is asked and told one call at
+        a time, not always in the same thread. While it takes its time, workers wait; it may take minutes.
+    out
+        The run's folder, which must not exist yet unless `resume` is true.
+    evaluations
+        The budget: the run ends with so many evaluations, or when the search asks nothing any more.
+    prior
+        How genomes are decoded (docs/methods.md).
+    seed
+        Written in the spec; what it means is the search's affair.
+    generations_in_flight
+        Generation g is asked when generation g minus this has been told.
+    resume
+        Go on with a run that was stopped, if there is one: the search is made anew, and asked and told again
+        what the journal has. Promised only where it asks the same again, bit for bit; that is compared.
+    progress
+        Show how far it is, on standard error.
+    place
+        Where it is done.
+    **scenery
+        `gripper` and `object`, and where need be `mass`, `friction`, `protocol` and `surface_seed`.
+
+    Returns
+    -------
+    run
+        What `qdgrasp.open(out)` gives.
+
+    Raises
+    ------
+    InputError
+        A name that is not known, a value that cannot be, a file that cannot be used, genomes that are none;
+        or the journal is not what the search asks again.
+    EndedEarly
+        Somebody cancelled the job, or processes die again and again; with `resume` it is gone on with.
+
+    Examples
+    --------
+    >>> class Uniform:
+    ...     def __init__(self, layout):
+    ...         self.genes = len(layout)
+    ...
+    ...     def ask(self, generation):
+    ...         return np.random.default_rng(generation).uniform(-1, 1, (100, self.genes))
+    ...
+    ...     def tell(self, generation, rows):
+    ...         print(generation, rows["fitness"].mean())
+    >>> run = qdgrasp.optimise(Uniform, "runs/mine", evaluations=1000, gripper="panda", object="mug")
+    """
+    if prior not in CUSTOM:
+        raise UnknownName("prior", prior, CUSTOM)
+    spec = spec_of(
+        scenery,
+        method=CUSTOM[prior].name,
+        evaluations=evaluations,
+        seed=seed,
+        generations_in_flight=generations_in_flight,
+    )
+    folder = _folder(Path(out), spec, place, resume=resume)
+    shows: AbstractContextManager[Display] = (
+        display(folder.path.name, evaluations) if progress else nullcontext(Quiet())
+    )
+    with (
+        shows as shown,
+        folder.job.supervise(),
+        opened(place, folder.job.logs, shown, folder.job.name) as stage,
+    ):
+        stage.hire_recorder(folder.path)
+        stage.hire_workers()
+        _carry_out(make, folder, stage, shown)
+    return Run(folder.path)
+
+
+def _folder(path: Path, spec: RunSpec, place: Place, *, resume: bool) -> RunFolder:
+    """The run's folder: begun, or the one that is there."""
+    if not (resume and RunFolder.is_run(path)):
+        RunFolder.check_free(path)
+        return RunFolder.create(path, spec, pack_scene(build_scene(spec)), job=place.job)
+    folder = RunFolder(path)
+    if other := differences(folder.spec, spec):
+        raise FolderError(f"{path} holds a run with another {', '.join(other)}; name another folder.")
+    folder.job.check_not_in_use()
+    folder.rewrite_spec(spec)  # the budget may be a greater one
+    return folder
+
+
+def _carry_out(make: Make, folder: RunFolder, stage: Stage, shown: Display) -> None:
+    """Be the coordinator, in this thread, until the run is over."""
+    spec, scene, bundle = folder.spec, folder.scene(), folder.bundle()
+    genes = layout_of(scene, method(spec.method).prior)
+    service = CoordinatorService(
+        stage.bus,
+        Stop(),
+        job=stage.job,
+        programme=Single(
+            lambda: with_search(Looked(make(genes), genes), spec, scene, bundle), spec.evaluations
+        ),
+        make_record=lambda run: RecorderLink(stage.bus, stage.job, run.shape),
+        batch_size=stage.place.batch_size,
+    )
+
+    def look(now: float) -> None:
+        figures = service.figures(now)
+        stage.watch.progressed(figures)
+        stage.watch.look(now)
+        shown.show(figures)
+
+    service.run(look)

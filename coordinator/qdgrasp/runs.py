@@ -1,0 +1,123 @@
+"""A run to read: its folder, its grasps, and every row of its journal."""
+
+import os
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.campaigns.summary import Summary, summary
+from qdgrasp_coordinator.exchange.choosing import choose
+from qdgrasp_coordinator.exchange.grasps import Grasps
+from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.searches.search import method
+from qdgrasp_protocol.genome import Layout
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import RunSpec
+
+
+class Run:
+    """A run's folder, to read, also while the run goes on: each call tells what is recorded by then.
+
+    Parameters
+    ----------
+    path
+        The folder; of a campaign, that of one of its runs.
+
+    Raises
+    ------
+    FolderError
+        There is no run in it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._folder = RunFolder.open(self.path)
+
+    def __repr__(self) -> str:
+        return f"qdgrasp.open({str(self.path)!r})"
+
+    @property
+    def spec(self) -> RunSpec:
+        """What was asked for: gripper, object, method, protocol, seed, budget."""
+        return self._folder.spec
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The gripper and the object as they are simulated; lengths in m, masses in kg."""
+        return self._folder.scene()
+
+    @property
+    def layout(self) -> Layout:
+        """The genes of its genomes: names, and what -1 and 1 stand for."""
+        return layout(self.scene, method(self.spec.method).prior)
+
+    @property
+    def summary(self) -> Summary:
+        """The figures that `qdgrasp info` prints, counted from the journal."""
+        return summary(self._folder)
+
+    def grasps(self, *, min_fitness: float = 1, top: int | None = None, diverse: int | None = None) -> Grasps:
+        """The grasps that it has found, as arrays.
+
+        Parameters
+        ----------
+        min_fitness
+            Shakes survived, at least: 1 for grasps, 2 for robust ones, 0 for all successes.
+        top
+            So many at most, best first.
+        diverse
+            So many at most, well spread over positions and orientations, the best one first.
+
+        Returns
+        -------
+        grasps
+            Of n grasps `poses(frame)` (n, 7), `matrices(frame)` (n, 4, 4), `joints` (n, j), `fitness` (n,),
+            `eta` (n,), `rows` (n,) and more; iterating gives one `Grasp` after the other. Frames are "mesh",
+            that of the object's mesh file in m, and "com", that of its centre of mass. In journal order
+            unless `top` or `diverse` is given.
+
+        Examples
+        --------
+        >>> for grasp in qdgrasp.open("runs/mug").grasps(min_fitness=2, diverse=10):
+        ...     print(grasp.number, grasp.position, grasp.quaternion_xyzw, grasp.joints)
+        """
+        return choose(read_grasps(self._folder), min_fitness, top, diverse)
+
+    def rows(self) -> Rows:
+        """Every row of the journal (n,), failures and trials too, as one structured array.
+
+        The columns stand in docs/run-folder.md. A folder that was pruned or merged has the successes alone.
+        """
+        parts = list(self.blocks())
+        return np.concatenate(parts) if parts else self._empty()
+
+    def blocks(self) -> Iterator[Rows]:
+        """The same some thousands at a time, for runs that do not fit into memory."""
+        with self._folder.journal() as journal:
+            yield from journal.kept()
+
+    def _empty(self) -> Rows:
+        with self._folder.journal() as journal:
+            return journal.shape.empty(0)
+
+
+def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001 - said as qdgrasp.open
+    """Open the folder of a run, to read.
+
+    Raises
+    ------
+    FolderError
+        There is no run in it.
+
+    Examples
+    --------
+    >>> run = qdgrasp.open("runs/mug")
+    >>> run.summary.robust, run.grasps(min_fitness=2).poses("mesh").shape
+    (214, (214, 7))
+    """
+    return Run(path)

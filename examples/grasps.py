@@ -1,0 +1,30 @@
+"""The grasps of a run as arrays: `python grasps.py runs/mug`."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import qdgrasp
+
+run = qdgrasp.open(sys.argv[1])
+print(run.summary.words)
+
+# All robust grasps at once: poses of the hand's root link in the frame of the object's mesh file, in metres.
+robust = run.grasps(min_fitness=2)
+poses = robust.poses("mesh")  # (n, 7): x y z, qx qy qz qw
+print(f"{len(robust)} robust grasps, positions within {np.ptp(poses[:, :3], axis=0).round(3)} m")
+
+# One after the other: five that are well spread, the best one first.
+for grasp in run.grasps(diverse=5):
+    joints = ", ".join(
+        f"{name} {value:.3f}" for name, value in zip(robust.joint_names, grasp.joints, strict=True)
+    )
+    print(f"{grasp.number}: {grasp.outcome.name} at {grasp.position.round(3)} m with {joints}")
+
+# Everything else is there as well: every evaluation with its genome and its outcome, failures too.
+rows = run.rows()
+for outcome in qdgrasp.Outcome:
+    print(f"{outcome.name}: {np.count_nonzero(rows['outcome'] == outcome)} of {len(rows)} evaluations")
+
+np.savez(Path(sys.argv[1]) / "robust.npz", matrices=robust.matrices("mesh"), joints=robust.joints)
