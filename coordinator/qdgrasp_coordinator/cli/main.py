@@ -14,6 +14,8 @@ from qdgrasp_coordinator.cli import (
     digest,
     doctor,
     evaluate,
+    export,
+    import_,
     info,
     jobs,
     merge,
@@ -52,6 +54,8 @@ app.command()(campaign.campaign)
 app.command()(analyse.analyse)
 app.command()(show.show)
 app.command()(render.render)
+app.command()(export.export)
+app.command("import")(import_.import_)
 app.command()(rerank.rerank)
 app.command()(merge.merge)
 app.command()(prune.prune)

@@ -59,7 +59,7 @@ def export(
     chosen = choose(every, min_fitness, top, diverse)
     if not len(chosen):
         raise InputError(_nothing(folder, every, min_fitness))
-    failures = _failures(every, wanted)
+    failures = _failures(every, chosen, wanted)
     written = joined([chosen, failures])
     write(out, form, written, about(folder, written, told_in))
     beside = f" and {len(failures)} failures" if wanted else ""
@@ -73,9 +73,9 @@ def _negatives(form: Format, asked: int | None) -> int:
     return asked if asked is not None else form.negatives or 0
 
 
-def _failures(every: Grasps, most: int) -> Grasps:
+def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
     """The evaluations that were no grasps; of more than `most` some that are spread over the journal."""
-    places = np.flatnonzero(~every.is_grasp)
+    places = np.flatnonzero(~every.is_grasp & ~np.isin(every.numbers, chosen.numbers))
     if most != ALL and most < len(places):
         places = places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
     return every[places if most else places[:0]]

@@ -8,18 +8,22 @@ Public description: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Descri
 * `object_data/NAME.obj`             its mesh, in metres, in the frame that the transforms are told in
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
+from msgspec import Struct
 
 from qdgrasp_assets.mesh import parts_to_obj
 from qdgrasp_assets.rotation import conjugate
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.body import body
-from qdgrasp_coordinator.exchange.frames import jaw_turn
+from qdgrasp_coordinator.exchange.frames import from_matrices, jaw_turn
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.exchange.jaw import in_gripper, transforms, turned_about
+from qdgrasp_coordinator.exchange.told import Told, Unusable, check_matrices, decoded, to_array
 
 INDEX = "map_uuid_to_path.json"
 DATA, SPLITS, OBJECTS = "grasp_data", "splits", "object_data"
@@ -69,3 +73,78 @@ def _values(name: str, grasps: Grasps, about: About) -> dict[str, Any]:
             },
         },
     }
+
+
+class Object(Struct):
+    """What is grasped."""
+
+    scale: float | None = None
+
+
+class Transforms(Struct):
+    """Grasps and failures."""
+
+    transforms: list[list[list[float]]]
+    object_in_gripper: list[bool | float] | None = None
+
+
+class Beside(Struct):
+    """What has no place in the format, in the order of the transforms."""
+
+    number: list[int]
+    pregrasp_joint_positions: list[list[float]]
+    synergy: list[str]
+
+
+class Ours(About, frozen=True, kw_only=True):
+    """The block `qdgrasp`."""
+
+    joint_names: list[str]
+    grasps: Beside
+
+
+class File(Struct):
+    """A JSON file of grasps."""
+
+    grasps: Transforms
+    object: Object
+    qdgrasp: Ours | None = None
+
+
+def read(path: Path, payload: bytes) -> Told:
+    """The grasps and failures in a JSON file of such a folder, of ours or of others.
+
+    Raises
+    ------
+    Unusable
+        It is another JSON file.
+    """
+    file = decoded(path, payload, File)
+    matrices = to_array(path, "transforms", file.grasps.transforms, (4, 4))
+    check_matrices(path, matrices)
+    count, bits = len(matrices), file.grasps.object_in_gripper
+    told = Told(
+        names=np.arange(count).astype(str),
+        poses=from_matrices(matrices),
+        is_turned=True,
+        confidence=None if bits is None else to_array(path, "object_in_gripper", bits, (), count),
+        scale=file.object.scale,
+    )
+    return told if file.qdgrasp is None else _with_joints(path, told, file.qdgrasp)
+
+
+def _with_joints(path: Path, told: Told, ours: Ours) -> Told:
+    """The same with what stands beside it."""
+    beside, count = ours.grasps, len(told)
+    starts = to_array(
+        path, "pregrasp_joint_positions", beside.pregrasp_joint_positions, (len(ours.joint_names),), count
+    )
+    if not len(beside.number) == len(beside.synergy) == count:
+        raise Unusable(path, f"the lists in its block 'qdgrasp' must have {count} items")
+    return replace(
+        told,
+        names=np.array(beside.number, dtype=np.int64).astype(str),
+        starts=dict(zip(ours.joint_names, starts.T, strict=True)),
+        synergies=np.array(beside.synergy, dtype=str),
+        about=ours,
+    )

@@ -6,9 +6,11 @@ Files come from anywhere: they are read without trust, and refused in one senten
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.rotation import Floats
@@ -17,6 +19,7 @@ from qdgrasp_protocol.errors import InputError
 
 MOST = 10_000_000
 """Grasps in a file, at most."""
+Kind = TypeVar("Kind", bound=Struct)
 OFF_UNIT = 1e-2
 """A quaternion may be so much longer or shorter than one, and a matrix so far from a rotation."""
 
@@ -96,7 +99,7 @@ def check(path: Path, told: Told) -> None:
         _check_each(path, told, ~np.isinf(values), f"joint '{joint}' is infinite")
 
 
-def check_rotations(path: Path, matrices: Floats) -> None:
+def check_matrices(path: Path, matrices: Floats) -> None:
     """Check that matrices (n, 4, 4) are homogeneous ones of rigid motions.
 
     Raises
@@ -106,12 +109,49 @@ def check_rotations(path: Path, matrices: Floats) -> None:
     """
     turns = matrices[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
+        is_finite = np.isfinite(matrices).all(axis=(1, 2))
         off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        is_rigid = (off <= OFF_UNIT) & (np.linalg.det(turns) > 0)
+        is_rigid = is_finite & (off <= OFF_UNIT) & (np.linalg.det(turns) > 0)
         is_rigid &= (matrices[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
     if not is_rigid.all():
         number = int(np.flatnonzero(~is_rigid)[0])
         raise Unusable(path, f"transform {number} is not a rotation and a translation")
+
+
+def decoded(path: Path, payload: bytes, kind: type[Kind]) -> Kind:
+    """What a JSON text says, as a struct.
+
+    Raises
+    ------
+    Unusable
+        It says something else, or is not JSON.
+    """
+    try:
+        return msgspec.json.decode(payload, type=kind)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise Unusable(path, f"it is not JSON with grasps ({error})") from None
+
+
+def to_array(
+    path: Path, what: str, values: object, shape: tuple[int, ...], count: int | None = None
+) -> Floats:
+    """Lists of numbers as an array (n, *shape).
+
+    Raises
+    ------
+    Unusable
+        They are not of that shape.
+    """
+    try:
+        found = np.array(values, dtype=np.float64)
+    except ValueError:
+        found = np.zeros(())
+    if not found.size and shape:
+        found = found.reshape(0, *shape)
+    if found.ndim != 1 + len(shape) or found.shape[1:] != shape or count not in (None, len(found)):
+        sides = "".join(f", {side}" for side in shape)
+        raise Unusable(path, f"its {what} must be of shape ({'n' if count is None else count}{sides})")
+    return found
 
 
 def _check_each(path: Path, told: Told, good: NDArray[np.bool_], what: str) -> None:

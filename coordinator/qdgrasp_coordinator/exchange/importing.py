@@ -1,0 +1,136 @@
+"""Importing: from a file of grasps to poses that can be evaluated with a hand and an object at hand."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.rotation import Floats, conjugate
+from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_coordinator.exchange import reading
+from qdgrasp_coordinator.exchange.about import About
+from qdgrasp_coordinator.exchange.frames import COM, MESH, Frame, jaw_turn, moved, turned
+from qdgrasp_coordinator.exchange.things import Thing
+from qdgrasp_coordinator.exchange.told import Told, Unusable
+from qdgrasp_coordinator.folders import disk
+from qdgrasp_protocol.genome import NO_SYNERGY
+
+NEAR = 1e-9
+"""Two lengths that differ by less are the same [m]."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Poses of a hand's root link in the object's centre-of-mass frame, as `qdgrasp evaluate` takes them."""
+
+    arrays: dict[str, NDArray[np.generic]]
+    """By name, as in an npz file of poses; beside them `name` and `confidence` as the file told them."""
+    notes: tuple[str, ...]
+    """What is not as the file says, a sentence each."""
+    about: About | None
+    """What the file says of itself, if it is one of ours."""
+
+    def __len__(self) -> int:
+        return len(self.arrays["name"])
+
+    def write(self, out: Path) -> None:
+        """Write the poses; the file is replaced at once.
+
+        Raises
+        ------
+        DiskFull, FolderError
+            It cannot be written.
+        """
+        with disk.writing(out.absolute().parent), disk.workshop(out) as part:
+            with (part / out.name).open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **self.arrays)
+            (part / out.name).rename(out)
+
+
+def read_grasps(path: Path, hand: SceneGripper, thing: Thing, frame: Frame | None = None) -> Imported:
+    """The grasps in a file, for a hand and an object.
+
+    Parameters
+    ----------
+    frame
+        In which frame of the object the file tells poses; None: as it says, or that of the mesh.
+
+    Raises
+    ------
+    Unusable
+        The file cannot be read, or names joints or synergies that the hand does not have.
+    """
+    told = reading.read(path)
+    poses = _poses(told, hand, thing, frame)
+    arrays = {
+        "base_position": poses[:, :3].astype(np.float32),
+        "base_quaternion_xyzw": poses[:, 3:].astype(np.float32),
+        "synergy": _labels(path, told, hand),
+        "spread": _spreads(path, told, hand),
+        "name": told.names,
+        "confidence": np.full(len(told), np.nan) if told.confidence is None else told.confidence,
+    }
+    return Imported(arrays, tuple(_notes(told, hand, thing)), told.about)
+
+
+def _poses(told: Told, hand: SceneGripper, thing: Thing, frame: Frame | None) -> Floats:
+    """(n, 7): of the root link, in the centre-of-mass frame."""
+    poses = turned(told.poses, conjugate(jaw_turn(hand)[None])[0]) if told.is_turned else told.poses
+    source = frame or (told.about.frame if told.about else MESH)
+    known = np.array(told.about.com_in_mesh) if told.about else thing.com_in_mesh
+    if source == COM and np.abs(known - thing.com_in_mesh).max() < NEAR:
+        return poses
+    return moved(moved(poses, known, source, MESH), thing.com_in_mesh, MESH, COM)
+
+
+def _labels(path: Path, told: Told, hand: SceneGripper) -> NDArray[np.int64]:
+    """The label (n,) of each synergy; none is told: all driven joints close."""
+    names = [synergy.name for synergy in hand.synergies]
+    if told.synergies is None:
+        return np.full(len(told), NO_SYNERGY)
+    labels = {name: label for label, name in enumerate(names)} | {"": NO_SYNERGY}
+    for name in np.unique(told.synergies).tolist():
+        if name not in labels:
+            known = ", ".join(names) or "none"
+            raise Unusable(path, f"it names synergy '{name}'; the gripper '{hand.name}' has {known}")
+    return np.array([labels[name] for name in told.synergies.tolist()], dtype=np.int64)
+
+
+def _spreads(path: Path, told: Told, hand: SceneGripper) -> Floats:
+    """What free joints start from (n, k) [rad]; NaN: the open posture."""
+    known = [joint.name for joint in hand.joints]
+    for name in (*told.starts, *told.joints):
+        if name not in known:
+            raise Unusable(path, f"it names joint '{name}'; the gripper '{hand.name}' has {', '.join(known)}")
+    unknown = np.full(len(told), np.nan)
+    free = [told.starts.get(joint.name, unknown) for joint in hand.free_joints]
+    return np.stack(free, axis=1) if free else np.zeros((len(told), 0))
+
+
+def _notes(told: Told, hand: SceneGripper, thing: Thing) -> list[str]:
+    """What is not as the file says, a sentence each."""
+    notes = []
+    if told.scale is not None and abs(told.scale / thing.scale - 1) > NEAR and not _is_built_in(told):
+        notes.append(
+            f"The file scales its mesh by {told.scale:g}, here it is scaled by {thing.scale:g}: if the mesh "
+            f"is the same, add --scale {told.scale:g}."
+        )
+    about = told.about
+    if about is None:
+        return notes
+    if about.gripper_frame != hand.base_link:
+        notes.append(
+            f"The file tells the poses of link '{about.gripper_frame}' of '{about.gripper}'; they are taken "
+            f"for those of '{hand.base_link}' of '{hand.name}'."
+        )
+    if np.abs(np.array(about.com_in_mesh) - thing.com_in_mesh).max() >= NEAR:
+        notes.append(
+            f"The object '{about.object}' of the file has its centre of mass elsewhere in its mesh, so it is "
+            "not the same object."
+        )
+    return notes
+
+
+def _is_built_in(told: Told) -> bool:
+    return told.about is not None and not told.about.object_file
