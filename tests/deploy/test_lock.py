@@ -33,7 +33,7 @@ def asked(name: str) -> list[Requirement]:
 
 def imports(name: str) -> str:
     """What a package of a lock file is called where it is imported."""
-    return {"eclipse-zenoh": "zenoh"}.get(name, name.replace("-", "_"))
+    return {"eclipse-zenoh": "zenoh", "pyyaml": "yaml"}.get(name, name.replace("-", "_"))
 
 
 @pytest.mark.parametrize("name", LOCKS)
