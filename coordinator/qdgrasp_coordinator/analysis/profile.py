@@ -219,7 +219,7 @@ def numbered(folder: RunFolder, journal: Journal, number: int) -> np.void:
     """
     if not 0 <= number < journal.count:
         raise NoSuchRow(folder.path, number, journal.count, _nearest(journal))
-    (row,) = np.concatenate(list(journal.kept(number, number + 1)))
+    row: np.void = np.concatenate(list(journal.kept(number, number + 1)))[0]
     return row
 
 

@@ -28,6 +28,7 @@ from qdgrasp_coordinator.cli import (
     run,
     security,
     show,
+    verify,
 )
 from qdgrasp_coordinator.cli import object as object_
 from qdgrasp_protocol import flags
@@ -54,6 +55,7 @@ app.command()(campaign.campaign)
 app.command()(analyse.analyse)
 app.command()(show.show)
 app.command()(render.render)
+app.command()(verify.verify)
 app.command()(export.export)
 app.command("import")(import_.import_)
 app.command()(rerank.rerank)

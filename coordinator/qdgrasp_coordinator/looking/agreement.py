@@ -26,8 +26,11 @@ def differing(recorded: Rows, now: Rows) -> dict[str, NDArray[np.bool_]]:
 
 
 def _unlike(one: NDArray[np.generic], other: NDArray[np.generic]) -> NDArray[np.bool_]:
-    pairs = (np.ascontiguousarray(values).reshape(len(values), -1).view(np.uint8) for values in (one, other))
-    return np.not_equal(*pairs).any(axis=1)
+    first, second = (
+        np.ascontiguousarray(values).reshape(len(values), -1).view(np.uint8) for values in (one, other)
+    )
+    unlike: NDArray[np.bool_] = (first != second).any(axis=1)
+    return unlike
 
 
 def replayed(row: np.void, answer: Answer) -> np.void:

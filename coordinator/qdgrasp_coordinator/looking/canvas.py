@@ -27,7 +27,8 @@ class Canvas:
 
     def __init__(self, image: NDArray[np.uint8]) -> None:
         self._image = Image.fromarray(np.ascontiguousarray(image)).convert("RGBA")
-        self._lines = Image.new("RGBA", tuple(FINE * side for side in self._image.size))
+        columns, rows = self._image.size
+        self._lines = Image.new("RGBA", (FINE * columns, FINE * rows))
         self._pen = ImageDraw.Draw(self._lines)
         self._words: list[tuple[Point, str, int, str, str]] = []
 

@@ -215,6 +215,8 @@ class Memory(Record):
     def __init__(self, shape: Shape) -> None:
         self._shape = shape
         self._parts: list[Rows] = []
+        self.platform: dict[str, str] = {}
+        """What the rows were made on; empty before a worker came."""
 
     @property
     def rows(self) -> Rows:
@@ -234,7 +236,8 @@ class Memory(Record):
         self._parts.append(stretch.rows)
 
     def set_platform(self, platform: dict[str, str]) -> None:
-        """Nobody asks."""
+        """Note the platform."""
+        self.platform = platform
 
     def tick(self, now: float) -> None:
         """Nothing is sent."""

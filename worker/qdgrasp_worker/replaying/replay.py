@@ -110,13 +110,12 @@ class Replay:
 
     def _shot(self, take: Take) -> Shot:
         moment = take.moment
-        position, quaternion = moment.object
         return Shot(
             phase=moment.phase,
             step=moment.step,
             seconds=take.seconds,
             hand=self.hand(moment),
-            object=(*position, *quaternion),
+            object=told(*moment.object),
             touches=moment.touches,
         )
 
@@ -132,11 +131,16 @@ def coarse(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The means of squares of `FINE` by `FINE` pixels."""
     parts = [image[row::FINE, column::FINE] for row in range(FINE) for column in range(FINE)]
     total = np.sum(parts, axis=0, dtype=np.uint16)
-    return ((total + FINE * FINE // 2) // (FINE * FINE)).astype(np.uint8)
+    means: NDArray[np.uint8] = ((total + FINE * FINE // 2) // (FINE * FINE)).astype(np.uint8)
+    return means
 
 
 def pose(frame: Floats) -> replay.Pose:
     """A frame (4, 4) as a position and a quaternion."""
-    x, y, z = frame[:3, 3].tolist()
-    qx, qy, qz, qw = Rotation.from_matrix(frame[:3, :3]).as_quat().tolist()
+    return told(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
+
+
+def told(position: list[float], quaternion: list[float]) -> replay.Pose:
+    """A position [m] and a quaternion xyzw as one."""
+    (x, y, z), (qx, qy, qz, qw) = position, quaternion
     return x, y, z, qx, qy, qz, qw
