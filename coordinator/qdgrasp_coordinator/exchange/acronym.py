@@ -12,9 +12,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.body import Body, body
-from qdgrasp_coordinator.exchange.frames import Floats, from_matrices
+from qdgrasp_coordinator.exchange.frames import from_matrices
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.exchange.jaw import in_gripper, transforms, turned_about
 from qdgrasp_coordinator.exchange.told import (

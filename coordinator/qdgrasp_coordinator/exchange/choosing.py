@@ -69,4 +69,5 @@ def _squares(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:
 def _alike(quaternions: Floats, other: Floats) -> Floats:
     """The cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
     x, y, z, w = quaternions.T
-    return np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3])
+    cosine: Floats = np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3])
+    return cosine

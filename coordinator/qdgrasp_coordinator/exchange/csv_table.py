@@ -38,5 +38,5 @@ def _said(about: About) -> Iterator[str]:
 def _words(values: NDArray[np.generic]) -> list[str]:
     """Values (n,) as text; NaN is empty."""
     if values.dtype.kind != "f":
-        return values.astype(str).tolist()
+        return [str(value) for value in values.tolist()]
     return [word if word != "nan" else "" for (word,) in decimals(values[:, None])]  # type: ignore[arg-type]

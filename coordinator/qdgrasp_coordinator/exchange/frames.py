@@ -5,11 +5,10 @@ whose origin is the centre of mass. Of the hand there is the frame of its root l
 parallel jaws one that is only turned against it: +z towards the object, fingers opening along x.
 """
 
-from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from qdgrasp_assets.rotation import Floats, from_frame, multiply, rotate, tangents
 from qdgrasp_assets.scene import SceneGripper
@@ -35,7 +34,7 @@ def frame_of(name: str) -> Frame:
     raise UnknownName("frame", name, FRAMES)
 
 
-def moved(poses: Floats, com_in_mesh: Sequence[float], source: Frame, target: Frame) -> Floats:
+def moved(poses: Floats, com_in_mesh: ArrayLike, source: Frame, target: Frame) -> Floats:
     """Poses (n, 7), xyz [m] and xyzw, told in one frame of the object, as another frame tells them."""
     found = poses.copy()
     found[:, :3] += (FRAMES.index(source) - FRAMES.index(target)) * np.asarray(com_in_mesh)
@@ -64,7 +63,7 @@ def from_matrices(matrices: Floats) -> Floats:
     return np.hstack([matrices[:, :3, 3], from_frame(x, y, z)])
 
 
-def jaw_turn(gripper: SceneGripper) -> NDArray[np.float64]:
+def jaw_turn(gripper: SceneGripper) -> Floats:
     """The rotation (4,), xyzw, from a hand's root link to axes with +z towards the object and x across.
 
     x is the axis along which the two fingers of a jaw open; of a hand without a jaw it is the first of two
@@ -72,4 +71,5 @@ def jaw_turn(gripper: SceneGripper) -> NDArray[np.float64]:
     """
     z = np.array([gripper.approach_axis])
     x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
-    return from_frame(x, np.cross(z, x), z)[0]
+    turn: Floats = from_frame(x, np.cross(z, x), z)[0]
+    return turn

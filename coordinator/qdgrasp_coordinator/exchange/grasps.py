@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.counts import whole
 from qdgrasp_coordinator.counts.poses import as_given, opened
 from qdgrasp_coordinator.counts.scores import SHAKES
-from qdgrasp_coordinator.exchange.frames import COM, MESH, Floats, Frame, moved, to_matrices
+from qdgrasp_coordinator.exchange.frames import COM, MESH, Frame, moved, to_matrices
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_protocol.outcome import Outcome

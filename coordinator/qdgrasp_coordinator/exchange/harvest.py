@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.counts.scores import Scores, eta
 from qdgrasp_coordinator.counts.whole import joined, taken
-from qdgrasp_coordinator.exchange.grasps import Floats, Found, Grasps
+from qdgrasp_coordinator.exchange.grasps import Found, Grasps
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_protocol.outcome import Outcome
@@ -103,4 +104,5 @@ def _etas(rows: Rows, scored: Rows, known: int) -> Floats:
 
 def _names(rows: Rows) -> NDArray[np.uint64]:
     """One number for the genome of each row, ascending in the journal of one run."""
-    return (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
+    names: NDArray[np.uint64] = (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
+    return names

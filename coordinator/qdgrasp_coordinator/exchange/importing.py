@@ -63,7 +63,7 @@ def read_grasps(path: Path, hand: SceneGripper, thing: Thing, frame: Frame | Non
     """
     told = reading.read(path)
     poses = _poses(told, hand, thing, frame)
-    arrays = {
+    arrays: dict[str, NDArray[np.generic]] = {
         "base_position": poses[:, :3].astype(np.float32),
         "base_quaternion_xyzw": poses[:, 3:].astype(np.float32),
         "synergy": _labels(path, told, hand),

@@ -7,9 +7,10 @@ ACRONYM and GraspGen share these. The origin stays that of the hand's root link;
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.exchange.about import About
-from qdgrasp_coordinator.exchange.frames import Floats, jaw_turn, to_matrices, turned
+from qdgrasp_coordinator.exchange.frames import jaw_turn, to_matrices, turned
 from qdgrasp_coordinator.exchange.grasps import Grasps
 
 MATRICES = "none: rotations are matrices, columns are the axes of the hand"

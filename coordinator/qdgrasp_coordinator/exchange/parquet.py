@@ -46,7 +46,7 @@ def _array(values: NDArray[np.generic]) -> Any:
 
     if values.dtype.kind == "U":
         return pa.array(values.tolist(), pa.string(), mask=values == "").dictionary_encode()
-    return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))  # type: ignore[arg-type]
+    return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
 
 
 def read(path: Path) -> Told:
