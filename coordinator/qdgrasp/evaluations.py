@@ -93,7 +93,7 @@ class Evaluations:
     place
         Where it is done.
     **scenery
-        `gripper` and `object`, and where need be `mass`, `friction`, `protocol` and `surface_seed`.
+        `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
 
     Raises
     ------
@@ -172,7 +172,7 @@ class Evaluations:
             Somebody cancelled the job, or workers die again and again.
         """
         rows = self.journal(genomes, timeout)
-        nominal = rows[rows["trial"] == 0]
+        nominal: Rows = rows[rows["trial"] == 0]
         nominal["fitness"] = sums(rows, trials(self.spec.protocol))
         return nominal
 
@@ -267,7 +267,7 @@ def evaluate(
     place
         Where it is done.
     **scenery
-        `gripper` and `object`, and where need be `mass`, `friction`, `protocol` and `surface_seed`.
+        `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
 
     Returns
     -------

@@ -18,7 +18,7 @@ from qdgrasp_coordinator.campaigns.programme import Single
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.runs.preparation import with_search
 from qdgrasp_coordinator.searches.search import CUSTOM, method
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_coordinator.watching.progress import Display, display
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
@@ -109,7 +109,7 @@ def optimise(
     place
         Where it is done.
     **scenery
-        `gripper` and `object`, and where need be `mass`, `friction`, `protocol` and `surface_seed`.
+        `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
 
     Returns
     -------

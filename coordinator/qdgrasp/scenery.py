@@ -13,9 +13,11 @@ class Scenery(TypedDict, total=False):
     gripper: Required[str | os.PathLike[str]]
     """A built-in gripper, one on the asset path, or a gripper's TOML file."""
     object: Required[str | os.PathLike[str]]
-    """A built-in object, one on the asset path, or a mesh file in metres."""
+    """A built-in object, one on the asset path, or a mesh file."""
     mass: float | None
     """Of the object [kg]; needed for a mesh file."""
+    scale: float | None
+    """Metres to a unit of the mesh file: 0.001 where it is in millimetres; 1."""
     friction: float | None
     """The object's lateral friction coefficient; 0.5."""
     protocol: ProtocolName

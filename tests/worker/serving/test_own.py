@@ -86,9 +86,15 @@ def test_trials_show_the_hand_as_the_object_is_disturbed(
     assert len(np.unique(evaluators.ASKED[0].frictions, axis=0)) == 3
 
 
-def test_a_genome_without_a_pose_is_not_shown_to_anybody(cube: Scene, draw: Draw) -> None:
+def test_a_genome_without_a_pose_is_not_shown_to_anybody(
+    make_scene: Callable[[str, str, str], Scene], draw: Draw
+) -> None:
     genomes = draw(30, genes=4)
-    rows = Own(cube, Height).evaluate("antipodal", genomes, np.zeros(30, np.uint16)).rows
+    rows = (
+        Own(make_scene("panda", "mug", "paper"), Height)
+        .evaluate("antipodal", genomes, np.zeros(30, np.uint16))
+        .rows
+    )
     dead = np.count_nonzero(rows["outcome"] == Outcome.DEAD_END)
     assert 0 < dead < 30
     assert sum(map(len, evaluators.ASKED)) == 30 - dead

@@ -74,10 +74,10 @@ class Verdicts:
             One has another shape, or holds what cannot be.
         """
         n, joints = len(candidates), candidates.joints.shape[1]
-        outcomes = _array("outcomes", self.outcomes, (n,))
+        outcomes = _array("outcomes", self.outcomes, (n,)).astype(np.int64)
         if not ((outcomes >= Outcome.OVERLAP) & (outcomes <= Outcome.HELD)).all():
             raise BadVerdict(f"outcomes must be {Outcome.OVERLAP:d} (OVERLAP) to {Outcome.HELD:d} (HELD)")
-        shakes = np.maximum(outcomes.astype(np.int64) - Outcome.DROPPED, 0)
+        shakes = np.maximum(outcomes - Outcome.DROPPED, 0)
         return {
             "outcome": outcomes,
             "fitness": _array("fitness", shakes if self.fitness is None else self.fitness, (n,)),
