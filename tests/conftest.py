@@ -16,7 +16,7 @@ settings.load_profile("shared")
 os.environ.setdefault("QDGRASP_NICE", "0")  # simulators that tests wait for stand back behind nobody
 
 TESTS = Path(__file__).resolve().parent
-STARTERS = (TESTS / "system", TESTS / "chaos")
+STARTERS = tuple(TESTS / name for name in ("system", "chaos", "docs", "examples"))
 """Where tests start processes of their own."""
 SIBLING = TESTS.parents[1] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""

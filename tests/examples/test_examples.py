@@ -1,0 +1,144 @@
+"""The scripts of examples/, as a user starts them."""
+
+import ast
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.endpoints import own_endpoint
+from tests.system.commands import PATIENCE, Commands, says, wait_for
+
+import qdgrasp
+from qdgrasp_protocol.errors import FolderError
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+ROUTER, WORKER = "qdgrasp_coordinator.cli.router", "qdgrasp_worker.cli"
+
+
+class Scripts:
+    """Starts scripts in a folder of their own, with budgets that are cut."""
+
+    def __init__(self, home: Path) -> None:
+        self.home = home
+        self._started: list[subprocess.Popen[str]] = []
+
+    def start(self, name: str, *arguments: object, **cuts: str) -> subprocess.Popen[str]:
+        source = (EXAMPLES / name).read_text()
+        for before, after in cuts.items():
+            assert source.count(f"{before}=") == 1, f"{name} says {before}= once"
+            source = source.replace(f"{before}=400", f"{before}={after}")
+        script = self.home / name
+        script.write_text(source)
+        process = subprocess.Popen(
+            [sys.executable, script, *map(str, arguments)],
+            cwd=self.home,
+            env={**os.environ, "QDGRASP_CACHE": str(self.home / "cache")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._started.append(process)
+        return process
+
+    def __call__(self, name: str, *arguments: object, **cuts: str) -> str:
+        process = self.start(name, *arguments, **cuts)
+        out, err = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, err
+        return out
+
+    def end_all(self) -> None:
+        for process in self._started:
+            if process.poll() is None:
+                process.terminate()
+                process.communicate(timeout=PATIENCE)
+
+
+@pytest.fixture
+def scripts(tmp_path: Path) -> Iterator[Scripts]:
+    scripts = Scripts(tmp_path)
+    yield scripts
+    scripts.end_all()
+
+
+@pytest.fixture
+def commands(tmp_path: Path) -> Iterator[Commands]:
+    commands = Commands(tmp_path)
+    yield commands
+    commands.end_all()
+
+
+@pytest.mark.parametrize("script", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
+def test_a_script_is_short_and_says_how_it_is_started(script: Path) -> None:
+    text = script.read_text()
+    assert len(text.splitlines()) <= 40
+    assert f"python {script.name}" in str(ast.get_docstring(ast.parse(text)))
+
+
+def test_a_search_of_ones_own_makes_a_run_whose_grasps_are_arrays(scripts: Scripts) -> None:
+    said = scripts("own_optimiser.py", "mine", evaluations="160")
+    run = qdgrasp.open(scripts.home / "mine")
+    assert said == f"{run.summary.words}\n"
+    assert run.summary.evaluations == 160
+
+    said = scripts("grasps.py", "mine")
+    assert "160 evaluations of custom_approach" in said
+    assert f"{len(run.grasps(min_fitness=2))} robust grasps" in said
+    for grasp in run.grasps(diverse=5):
+        assert f"{grasp.number}: {grasp.outcome.name} at " in said
+    with np.load(scripts.home / "mine" / "robust.npz") as kept:
+        assert kept["matrices"].tobytes() == run.grasps(min_fitness=2).matrices("mesh").tobytes()
+
+
+def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands) -> None:
+    endpoint = own_endpoint()
+    router = commands.start("--listen", endpoint, module=ROUTER)
+    says(router, "listening")
+    worker = scripts.start("own_evaluator.py", endpoint)
+    scripts("own_optimiser.py", "mine", endpoint, evaluations="120")
+
+    run = qdgrasp.open(scripts.home / "mine")
+    rows, axis = run.rows(), np.array(run.scene.gripper.approach_axis)
+    assert len(rows) == 120
+    lines = np.cross(rows["base_to_object"][:, :3].astype(float), turned(rows["base_to_object"][:, 3:], axis))
+    is_held = np.linalg.norm(lines, axis=1) < 0.01
+    assert ((rows["outcome"] == qdgrasp.Outcome.HELD) == is_held).all()
+    assert is_held.any()
+    assert run.summary.platform["evaluator"] == "Aim"
+    for process in (worker, router):
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) in {0, 128 + signal.SIGTERM}
+
+
+def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(
+    scripts: Scripts, commands: Commands
+) -> None:
+    endpoint = own_endpoint()
+    run = ("--gripper", "panda", "--object", "mug", "--method", "approach_rand", "--evaluations", 60)
+    command = commands.start("run", *run, "--workers", 0, "--listen", endpoint, "--out", "aim")
+    wait_for(lambda: is_listening(commands.home / "aim"), "the run's endpoint")
+    name = f"{EXAMPLES / 'own_evaluator.py'}:Aim"
+    worker = commands.start("--evaluator", name, "--connect", endpoint, "--workers", 2, module=WORKER)
+    said, err = command.communicate(timeout=PATIENCE)
+    assert command.returncode == 0, err
+    assert said.startswith("60 evaluations of approach_rand with panda on mug")
+    worker.send_signal(signal.SIGTERM)
+    assert worker.wait(PATIENCE) == 128 + signal.SIGTERM
+
+
+def is_listening(folder: Path) -> bool:
+    try:
+        return qdgrasp.open(folder)._folder.job.endpoint is not None
+    except FolderError:
+        return False
+
+
+def turned(quaternions: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """An axis (3,) in the frames that quaternions (n, 4) xyzw turn to: (n, 3)."""
+    q = quaternions.astype(float)
+    aside = 2 * np.cross(q[:, :3], axis)
+    return axis + q[:, 3:] * aside + np.cross(q[:, :3], aside)
