@@ -29,6 +29,7 @@ from qdgrasp_coordinator.cli import (
     security,
     show,
     verify,
+    view,
 )
 from qdgrasp_coordinator.cli import object as object_
 from qdgrasp_protocol import flags
@@ -54,6 +55,7 @@ for command in (run.run, resume.resume, info.info, digest.digest, evaluate.evalu
 app.command()(campaign.campaign)
 app.command()(analyse.analyse)
 app.command()(show.show)
+app.command()(view.view)
 app.command()(render.render)
 app.command()(verify.verify)
 app.command()(export.export)

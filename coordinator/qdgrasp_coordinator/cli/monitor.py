@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import structlog
 import typer
 from rich.console import Console
 
 from qdgrasp_coordinator.cli.asking import PATIENCE, place, session
+from qdgrasp_coordinator.cli.web_place import web_place
 from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.overview import look
@@ -24,11 +26,12 @@ from qdgrasp_protocol import flags
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.command import run_command
 from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.lifetime import Stop, lifetime
 from qdgrasp_protocol.logs import speak
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
+log = structlog.get_logger()
 INTERVAL = 1.0  # seconds between two looks in JSON
 FLAGS = {
     "once": "--once",
@@ -187,23 +190,11 @@ def serve(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
     from qdgrasp_coordinator.monitor.bus_records import BusRecords
     from qdgrasp_coordinator.monitor.web import app
     from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
+    from qdgrasp_coordinator.monitor.web.live_site import LiveSite
 
-    host, port = address(web)
-    app.serve(feed, Exhibits(BusRecords(bus)), host, port, token, stop)
-
-
-def address(text: str) -> tuple[str, int]:
-    """The host and the port in `127.0.0.1:8080` or `[::1]:8080`.
-
-    Raises
-    ------
-    ImpossibleValue
-        The text is not of that form.
-    """
-    host, _, port = text.rpartition(":")
-    if not (host and port.isdecimal() and int(port) < 1 << 16):
-        raise ImpossibleValue("--web", text, "HOST:PORT, such as 127.0.0.1:8080")
-    return host.removeprefix("[").removesuffix("]"), int(port)
+    host, port = web_place(web)
+    site = LiveSite(feed, Exhibits(BusRecords(bus)))
+    app.serve(site, host, port, token, stop, lambda address: log.info("the page is open", address=address))
 
 
 def to_json(views: Sequence[JobView], endpoint: str) -> str:

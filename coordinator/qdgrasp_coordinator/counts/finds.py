@@ -18,6 +18,8 @@ COLUMNS = (
         "base_to_object", "<f4", "7", "the hand's root link in the object's CoM frame: x y z [m], qx qy qz qw"
     ),
     Column("joints", "<f4", "joints", "finger joint positions at the grasp [rad or m]"),
+    Column("synergy", "<i2", "1", "the synergy that closed the hand, by its place in the gripper; -1: none"),
+    Column("eta", "<f4", "1", "estimated probability of transfer; -1 where not all trials are recorded"),
 )
 MOST = 4096
 """The most finds in one answer."""
@@ -39,12 +41,12 @@ def limit(joints: int) -> int:
     return min(MOST, MOST_BYTES // layout(joints).itemsize)
 
 
-def found(rows: Rows, numbers: NDArray[np.integer], joints: int) -> Found:
-    """Successes (n,) with their journal numbers (n,) as finds (n,)."""
+def found(rows: Rows, joints: int, **told: NDArray[np.number]) -> Found:
+    """Successes (n,) as finds (n,); `told` are the columns that no row has: number, synergy, eta."""
     finds = np.zeros(len(rows), dtype=layout(joints))
-    for column in COLUMNS[1:]:
-        finds[column.name] = rows[column.name][..., :3] if column.name == "descriptor" else rows[column.name]
-    finds["number"] = numbers
+    for column in COLUMNS:
+        values = told[column.name] if column.name in told else rows[column.name]
+        finds[column.name] = values[..., :3] if column.name == "descriptor" else values
     return finds
 
 

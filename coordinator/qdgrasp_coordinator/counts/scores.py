@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.counts.tally import successes
+from qdgrasp_coordinator.counts.tally import successes, successful
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
@@ -75,9 +75,34 @@ def sums(journal: Rows, trials: int) -> NDArray[np.float64]:
     return totals
 
 
+def known(rows: Rows, trials: int) -> NDArray[np.float64]:
+    """Of each nominal success among consecutive rows of a journal (n,): its score.
+
+    NaN where not all of its trials are among them. The journal may begin anywhere, or be joined of several.
+    """
+    found, first = np.flatnonzero(successful(rows)), np.flatnonzero(rows["trial"] == 1)
+    first = first[first + trials <= len(rows)]
+    whose, their = _places(rows, found, first)
+    order = np.argsort(their)
+    place = np.searchsorted(their[order], whose)
+    scores = np.full(len(found), np.nan)
+    here = np.flatnonzero(place < len(first))
+    begins = first[order][place[here]]
+    is_its = _names(rows)[begins] == _names(rows)[found[here]]
+    total = np.concatenate([[0.0], np.cumsum(rows["fitness"], dtype=np.float64)])
+    scores[here[is_its]] = (total[begins + trials] - total[begins])[is_its]
+    return scores
+
+
 def eta(fitness: NDArray[np.number], trials: int) -> NDArray[np.float64]:
     """Of scores (n,) over `trials` trials: (n,), 0 to 1."""
     return fitness.astype(np.float64) / (SHAKES * trials)
+
+
+def _places(rows: Rows, *places: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """One number for each of some rows, ascending by genome, then by place."""
+    _, genomes = np.unique(_names(rows), return_inverse=True)
+    return [genomes[each] * len(rows) + each for each in places]
 
 
 def _names(rows: Rows) -> NDArray[np.uint64]:

@@ -9,6 +9,12 @@ from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found
 from qdgrasp_protocol.printable import printable
 
+COMMANDS = (
+    "qdgrasp show {folder} --grasp {number}",
+    "qdgrasp render {folder} --grasp {number} -o grasp.png",
+)
+"""What can be done with one row of a run."""
+
 
 class Origin(NamedTuple):
     """Which journal it is: in another one of the same names, the same numbers are of other rows."""
@@ -27,10 +33,11 @@ class Place(NamedTuple):
     host: str = ""
     """On which machine; empty: on this one."""
 
-    def show(self, number: int) -> str:
-        """The command that prints everything known about a row, with the machine to run it on."""
-        command = f"qdgrasp show {quote(printable(self.folder))} --grasp {number}"
-        return f"{command}  # on {printable(self.host)}" if self.host else command
+    def commands(self, number: int) -> list[str]:
+        """The commands that print all that is known about a row, and draw it, with the machine to run on."""
+        folder = quote(printable(self.folder))
+        where = f"  # on {printable(self.host)}" if self.host else ""
+        return [command.format(folder=folder, number=number) + where for command in COMMANDS]
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,15 @@ class Page:
     next: int
     """The journal number from which to read on."""
     rows: int
-    """How many rows the journal has; with `next` there, nothing is left to read for now."""
+    """How many rows the journal has.
+
+    With `next` there nothing is left to read for now; nor where it does not get on, as successes that lack
+    trials are told again.
+    """
+
+    def is_last(self, first: int) -> bool:
+        """Whether nothing is left to read for now, where this was read from journal number `first` on."""
+        return self.next >= self.rows or self.next <= first
 
 
 class Records(Protocol):

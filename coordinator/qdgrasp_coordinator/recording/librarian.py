@@ -11,6 +11,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Self
 
+from qdgrasp_coordinator.analysis.legends import Legends
 from qdgrasp_coordinator.counts.figures import to_json
 from qdgrasp_coordinator.counts.finds import Found, to_message
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -42,6 +43,7 @@ class Librarian:
         self._keys = Keys(job)
         self._path = path
         self._register = Register(path)
+        self._legends = Legends()
         self._lock = threading.Lock()
         self._scenes: OrderedDict[str, bytes] = OrderedDict()  # by digest, as they were asked for
         self._homes: dict[str, Path] = {}  # where scenes were seen
@@ -78,7 +80,8 @@ class Librarian:
         try:
             with Journal.open(path) as journal:
                 self._homes[journal.scene] = path
-                return codec.encode(_told(journal, run, *page(journal, _number(query, "from"))))
+                legend = self._legends.of(RunFolder(path), journal)
+                return codec.encode(_told(journal, run, *page(journal, _number(query, "from"), legend)))
         except FolderError as error:
             raise Refused(str(error)) from None
 

@@ -18,6 +18,7 @@ from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.folders.journal_format import FILE
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.printable import printable
 from qdgrasp_protocol.spec import RunSpec
 
 ROWS = 1 << 19
@@ -81,7 +82,7 @@ class Register:
         with Journal.open(path) as journal:
             entry = told(journal) if journal.sources else self._counted(path, journal)
             is_whole = path not in self._counts or self._counts[path].rows == journal.count
-        entry = entry and replace(entry, folder=str(path.absolute()))
+        entry = entry and replace(entry, folder=printable(str(path.absolute())))
         if entry and is_whole and rests(stamp, now):
             self._known[path] = stamp, entry
         return entry

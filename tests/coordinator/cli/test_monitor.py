@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli import monitor
 from qdgrasp_coordinator.cli.monitor import (
-    address,
     app,
     check_flags,
     chosen,
@@ -29,7 +28,7 @@ from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.terminal import screen
 from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII
 from qdgrasp_coordinator.monitor.terminal.screen import watch
-from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.lifetime import Stop
 
 TOKEN = "a-token-of-some-length"  # noqa: S105 - it opens nothing
@@ -110,24 +109,6 @@ def test_what_draws_nothing_leaves_the_terminal_and_its_keys_alone(
 def test_one_look_at_nothing_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     show([], ENDPOINT, [], ascii_only=False)
     assert capsys.readouterr().out.startswith(f"No job is at {ENDPOINT}")
-
-
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        ("127.0.0.1:8080", ("127.0.0.1", 8080)),
-        ("[::1]:80", ("::1", 80)),
-        ("head:0", ("head", 0)),
-    ],
-)
-def test_the_place_of_the_page_is_a_host_and_a_port(text: str, place: tuple[str, int]) -> None:
-    assert address(text) == place
-
-
-@pytest.mark.parametrize("text", ["", "8080", ":8080", "head", "head:", "head:x", "head:65536", "head:-1"])
-def test_what_is_no_place_is_refused_with_how_to_write_one(text: str) -> None:
-    with pytest.raises(ImpossibleValue, match="HOST:PORT, such as"):
-        address(text)
 
 
 @pytest.mark.parametrize(

@@ -15,12 +15,13 @@ from tests.coordinator.recorded_runs import random_rows, record
 from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.monitor.bus_records import BusRecords
+from qdgrasp_coordinator.monitor.collection import Collection
 from qdgrasp_coordinator.monitor.folder_records import FolderRecords
 from qdgrasp_coordinator.monitor.records import Place, Records
 from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
 from qdgrasp_coordinator.recording import register
 from qdgrasp_coordinator.recording.librarian import Librarian
-from qdgrasp_protocol.errors import FolderError, QdgraspError
+from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.local_bus import LocalNetwork
 
 ROWS = random_rows(300)
@@ -34,7 +35,7 @@ def folder(tmp_path: Path, make_scene) -> RunFolder:
 @pytest.fixture(params=["folder", "bus"])
 def records(request: pytest.FixtureRequest, folder: RunFolder, network: LocalNetwork) -> Iterator[Records]:
     if request.param == "folder":
-        yield FolderRecords([folder.path])
+        yield FolderRecords(Collection([folder.path]))
         return
     with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
         yield BusRecords(ours)
@@ -98,9 +99,9 @@ def test_the_command_that_is_shown_prints_the_grasp(
         library = Exhibits(BusRecords(ours))
         shown = json.loads(library.grasp("mug", "run", 3))
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    command = ["sh", "-c", shown["command"]]
+    command = ["sh", "-c", shown["commands"][0]]
     said = subprocess.run(command, capture_output=True, check=True, text=True, env=environment)
-    assert shown["command"] == f"qdgrasp show '{path}' --grasp 3"
+    assert shown["commands"][0] == f"qdgrasp show '{path}' --grasp 3"
     assert "number           3 of 5 rows" in said.stdout
     assert "outcome          shaken: one of the two shakes was survived" in said.stdout
 
@@ -114,7 +115,7 @@ def test_the_command_that_is_shown_prints_the_grasp(
     ],
 )
 def test_a_command_is_one_line_that_says_on_which_machine(place: Place, command: str) -> None:
-    assert place.show(7) == command
+    assert place.commands(7)[0] == command
 
 
 def test_what_is_not_there_is_refused(records: Records) -> None:
@@ -129,8 +130,3 @@ def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(
     with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
         told = [BusRecords(ours).entries("mug") for _ in range(3)]
     assert [(len(one.runs), one.uncounted) for one in told] == [(0, 1), (0, 1), (1, 0)]
-
-
-def test_a_folder_without_a_job_has_no_records(tmp_path: Path) -> None:
-    with pytest.raises(FolderError, match="no run and no campaign"):
-        FolderRecords([tmp_path])

@@ -43,7 +43,7 @@ class Reading:
     @property
     def fresh(self) -> float:
         """How long it is good for [s]."""
-        return FRESH if self.voxels.next >= self.voxels.rows else 0.0
+        return FRESH if self.voxels.is_whole else 0.0
 
     def leads_to(self, page: Page) -> bool:
         """Whether a page goes on with it; False: it is of another journal, or of one that fell back."""
@@ -51,8 +51,10 @@ class Reading:
 
     def with_pages(self, pages: list[Page]) -> "Reading":
         """What there is with these pages, which follow."""
-        voxels = copy(self.voxels)
-        voxels.insert(np.concatenate([page.found for page in pages]), pages[-1].next, pages[-1].rows)
+        voxels, last = copy(self.voxels), pages[-1]
+        before = pages[-2].next if len(pages) > 1 else voxels.next
+        found = np.concatenate([page.found for page in pages])
+        voxels.insert(found, last.next, is_whole=last.is_last(before))
         return Reading(self.origin, voxels)
 
 
@@ -93,9 +95,9 @@ class Exhibit:
         page = self._records.page(self._job, self._run, number)
         if not len(page.found) or page.found["number"][0] != number:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
-        command = self._records.place(self._job, self._run).show(number)
-        made = self._sceneries.of(page.origin.scene).get().hand
-        return msgspec.json.encode(geometry.grasp(page.found[0], made, command))
+        commands = self._records.place(self._job, self._run).commands(number)
+        scenery = self._sceneries.of(page.origin.scene).get()
+        return msgspec.json.encode(geometry.grasp(page.found[0], scenery.hand, scenery.stage, commands))
 
     def _scenery(self, digest: str) -> Kept[Scenery]:
         return Kept(lambda _: self._prepare(digest), lambda _: inf, self._clock)
@@ -129,9 +131,10 @@ class Exhibit:
         origin = page.origin
         while page.origin == origin:
             yield page
-            if page.next >= page.rows or self._clock() > until:
+            if page.is_last(first) or self._clock() > until:
                 return
-            page = self._records.page(self._job, self._run, page.next)
+            first = page.next
+            page = self._records.page(self._job, self._run, first)
 
 
 class Exhibits:

@@ -16,6 +16,7 @@ from qdgrasp_coordinator.analysis import fitness
 from qdgrasp_coordinator.analysis.hand import Hand
 from qdgrasp_coordinator.counts.cells import PER_METRE, cells
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.trials import trials
 
 
 class Triangles(Struct, frozen=True):
@@ -50,6 +51,14 @@ class Stage(Struct, frozen=True):
 
     gripper: str
     object: str
+    base: str
+    """The hand's root link: that of which poses are told."""
+    com_in_mesh: Sequence[float]
+    """(3,): the centre of mass in the mesh file's frame [m]; the axes are the same."""
+    synergies: Sequence[str]
+    """Those of the hand; none where all driven joints close."""
+    scored: bool
+    """Whether successes have trials, and so an eta."""
     cell: float
     """The edge of a cell [m]; cell k reaches from (k - 0.5) to (k + 0.5) times it."""
     low: Sequence[float]
@@ -76,18 +85,28 @@ class Grasp(Struct, frozen=True):
     fitness: float
     words: str
     """What the outcome means."""
+    eta: float | None
+    """The estimated probability of transfer; None where not all trials are recorded."""
+    synergy: str
+    """What closed the hand; empty: all driven joints."""
     cell: Sequence[int]
     """(3,)."""
+    base: str
+    """The hand's root link."""
     position: Sequence[float]
     """(3,): of the hand's root link [m]."""
+    position_in_mesh: Sequence[float]
+    """(3,): the same in the mesh file's frame [m]."""
     quaternion: Sequence[float]
-    """(4,): of the hand's root link, xyzw."""
+    """(4,): of the hand's root link, xyzw; in both frames."""
+    frame: list[float]
+    """That of the hand's root link, 4 x 4, row by row."""
     joints: dict[str, float]
     """Positions of the finger joints [rad or m]."""
     links: dict[str, list[float]]
     """Each link's frame, 4 x 4, row by row."""
-    command: str
-    """What replays it."""
+    commands: Sequence[str]
+    """What shows and draws it."""
 
 
 KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
@@ -100,6 +119,10 @@ def stage(scene: Scene, hand: Hand) -> Stage:
     return Stage(
         gripper=scene.gripper.name,
         object=body.name,
+        base=scene.gripper.base_link,
+        com_in_mesh=body.com_in_mesh,
+        synergies=[synergy.name for synergy in scene.gripper.synergies],
+        scored=trials(scene.protocol) > 0,
         cell=1 / PER_METRE,
         low=scene.object_low,
         high=scene.object_high,
@@ -110,8 +133,8 @@ def stage(scene: Scene, hand: Hand) -> Stage:
     )
 
 
-def grasp(find: np.void, hand: Hand, command: str) -> Grasp:
-    """A find (a record of `counts.finds`) with the hand in its posture, and the command that replays it."""
+def grasp(find: np.void, hand: Hand, stage: Stage, commands: Sequence[str]) -> Grasp:
+    """A find (a record of `counts.finds`) on a stage, with the hand in its posture, and what shows it."""
     pose, joints = find["base_to_object"].astype(float), find["joints"].astype(float)
     frames = hand.frames(pose, joints)
     names = [joint.name for joint in hand.gripper.joints]
@@ -120,12 +143,17 @@ def grasp(find: np.void, hand: Hand, command: str) -> Grasp:
         outcome=int(find["outcome"]),
         fitness=float(find["fitness"]),
         words=_words(Outcome(find["outcome"])),
+        eta=float(find["eta"]) if find["eta"] >= 0 else None,
+        synergy=stage.synergies[find["synergy"]] if 0 <= find["synergy"] < len(stage.synergies) else "",
         cell=cells(find["descriptor"]).tolist(),
+        base=stage.base,
         position=pose[:3].tolist(),
+        position_in_mesh=(pose[:3] + stage.com_in_mesh).tolist(),
         quaternion=pose[3:].tolist(),
+        frame=frames[stage.base].ravel().tolist(),
         joints=dict(zip(names, joints.tolist(), strict=True)),
         links={name: frames[name].ravel().tolist() for name in _meshes(hand)},
-        command=command,
+        commands=commands,
     )
 
 

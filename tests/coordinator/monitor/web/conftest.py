@@ -3,17 +3,17 @@
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from queue import Queue
 
 import pytest
 from starlette.testclient import TestClient
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web.access import Access
-from qdgrasp_coordinator.monitor.web.app import application, serve
-from qdgrasp_coordinator.monitor.web.broadcast import Broadcast
+from qdgrasp_coordinator.monitor.web.app import Site, application, serve
 from qdgrasp_coordinator.monitor.web.libraries import Library
-from qdgrasp_coordinator.monitor.web.showing import Showing
+from qdgrasp_coordinator.monitor.web.live_site import LiveSite
 from qdgrasp_protocol.lifetime import Stop
 
 HERE = "127.0.0.1"
@@ -30,8 +30,7 @@ def feed() -> FakeFeed:
 
 def client(feed: FakeFeed, access: Access | None = None) -> TestClient:
     """A client on this machine."""
-    shown = Showing(feed)
-    app = application(shown, FakeLibrary(), access or Access(local=True), Broadcast(shown.state))
+    app = application(LiveSite(feed, FakeLibrary()), access or Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", follow_redirects=False)
 
 
@@ -41,26 +40,23 @@ def free_port() -> int:
         return port
 
 
+def serving(
+    feed: FakeFeed, port: int, token: str = "", library: Library | None = None
+) -> AbstractContextManager[str]:
+    """A server of a live page in a thread; gives its address, and ends it in the end."""
+    return serving_site(LiveSite(feed, library or FakeLibrary()), port, token)
+
+
 @contextmanager
-def serving(feed: FakeFeed, port: int, token: str = "", library: Library | None = None) -> Iterator[str]:
-    """A server in a thread; gives its address, and ends it in the end."""
-    stop = Stop()
-    shown = library or FakeLibrary()
-    thread = threading.Thread(target=serve, args=(feed, shown, HERE, port, token, stop))
+def serving_site(site: Site, port: int, token: str = "") -> Iterator[str]:
+    """The same of any site."""
+    stop, open_at = Stop(), Queue[str]()
+    thread = threading.Thread(target=serve, args=(site, HERE, port, token, stop, open_at.put))
     thread.start()
     try:
-        with _reached(port):
-            yield f"http://{HERE}:{port}"
+        assert open_at.get(timeout=30).startswith(f"http://{HERE}:{port}/")
+        yield f"http://{HERE}:{port}"
     finally:
         stop.set(15)
         thread.join(20)
         assert not thread.is_alive(), "the server did not end"
-
-
-def _reached(port: int) -> socket.socket:
-    """A connection to the server, as soon as it listens."""
-    while True:
-        try:
-            return socket.create_connection((HERE, port), timeout=30)
-        except ConnectionRefusedError:
-            threading.Event().wait(0.02)

@@ -183,7 +183,7 @@ class FakeLibrary:
         return msgspec.json.encode(STAGE)
 
     def cells(self, job: str, run: str, since: int) -> bytes:
-        return HEADER.pack(MARK, 0, since, since, 0, 7)
+        return HEADER.pack(MARK, 0, since, 0, 0, 7)
 
     def grasp(self, job: str, run: str, number: int) -> bytes:
         return b'{"number":%d}' % number
@@ -195,6 +195,10 @@ MESH = Triangles(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes(
 STAGE = Stage(
     gripper="panda",
     object="mug",
+    base="palm",
+    com_in_mesh=(0, 0, 0.02),
+    synergies=("pinch", "power"),
+    scored=True,
     cell=0.01,
     low=(0, 0, 0),
     high=(0.05, 0.05, 0.05),

@@ -13,10 +13,17 @@ from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.outcome import Outcome
 
 
-def finds(numbers: ArrayLike, places: ArrayLike, outcomes: ArrayLike, joints: int = 2) -> Found:
-    """Finds with these journal numbers (n,), in these cells (n, 3), with these outcomes (n,)."""
+def finds(
+    numbers: ArrayLike,
+    places: ArrayLike,
+    outcomes: ArrayLike,
+    joints: int = 2,
+    synergies: ArrayLike = -1,
+    etas: ArrayLike = -1,
+) -> Found:
+    """Finds with these journal numbers (n,), in these cells (n, 3), with these outcomes (n,) and so on."""
     made = np.zeros(len(np.asarray(numbers)), layout(joints))
-    made["number"], made["outcome"] = numbers, outcomes
+    made["number"], made["outcome"], made["synergy"], made["eta"] = numbers, outcomes, synergies, etas
     made["descriptor"] = np.asarray(places) / 100
     made["base_to_object"][:, :3] = made["descriptor"]
     made["base_to_object"][:, 6] = 1
@@ -28,7 +35,9 @@ def random_finds(n: int, reach: int = 3, seed: int = 0) -> Found:
     """So many finds in few cells, so that many of them meet; every other row of the journal is one."""
     random = np.random.default_rng(seed)
     places = random.integers(-reach, reach + 1, (n, 3))
-    return finds(2 * np.arange(n), places, random.integers(Outcome.DROPPED, Outcome.HELD + 1, n))
+    outcomes = random.integers(Outcome.DROPPED, Outcome.HELD + 1, n)
+    labels, etas = random.integers(-1, 2, n), random.choice([-1, 0, 0.25, 0.5, 1], n)
+    return finds(2 * np.arange(n), places, outcomes, synergies=labels, etas=etas)
 
 
 ORIGIN = Origin("1" * 64, 1.0)

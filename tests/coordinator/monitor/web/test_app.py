@@ -119,8 +119,11 @@ def test_the_page_has_no_script_or_style_in_itself() -> None:
 
 
 def test_what_the_page_loads_is_there() -> None:
-    page = (STATIC / "index.html").read_text(encoding="utf-8")
-    loaded = re.findall(r'(?:src|href)="static/([^"]+)"', page)
+    loaded = [
+        name
+        for page in ("index", "view")
+        for name in re.findall(r'(?:src|href)="static/([^"]+)"', (STATIC / f"{page}.html").read_text("utf-8"))
+    ]
     imported = [
         (path.parent / name).resolve()
         for path in SCRIPTS

@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
-from tests.coordinator.monitor.web.test_voxels import read
+from tests.coordinator.monitor.web.finds import ORIGIN, HandMadeRecords, finds, random_finds
+from tests.coordinator.monitor.web.test_voxels import in_cells, read
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.monitor.records import Origin
+from qdgrasp_coordinator.monitor.records import Origin, Page
 from qdgrasp_coordinator.monitor.web import exhibits
 from qdgrasp_coordinator.monitor.web.exhibits import FRESH, LISTED, Exhibits
 from qdgrasp_coordinator.monitor.web.kept import SORRY
@@ -52,9 +52,9 @@ def half(scene: Scene) -> Scene:
 
 def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, library: Exhibits) -> None:
     records.record(random_finds(50))
-    upto, rows, shown = read(library.cells("job", "run", 0))
-    assert upto == rows == records.rows
-    assert len(shown) == len({tuple(place) for place in records.found["descriptor"].tolist()})
+    _, more, shown = read(library.cells("job", "run", 0))
+    assert not more
+    assert len({place for place, _, _ in shown}) == len(np.unique(records.found["descriptor"], axis=0))
 
 
 def test_what_is_found_later_is_added(records: HandMadeRecords, library: Exhibits, clock: Clock) -> None:
@@ -62,7 +62,7 @@ def test_what_is_found_later_is_added(records: HandMadeRecords, library: Exhibit
     upto, _, _ = read(library.cells("job", "run", 0))
     records.record(finds([1], [(2, 0, 0)], [Outcome.HELD]))
     clock.now += FRESH
-    assert read(library.cells("job", "run", upto))[2] == {(2, 0, 0): [1, Outcome.HELD]}
+    assert in_cells(library.cells("job", "run", upto)) == {(2, 0, 0): (1, Outcome.HELD)}
 
 
 def test_many_browsers_cost_the_recorder_no_more_than_one(
@@ -81,9 +81,9 @@ def test_a_long_journal_is_read_over_several_answers(
 ) -> None:
     monkeypatch.setattr(exhibits, "PATIENCE", -1.0)  # out of patience after each page
     records.record(random_finds(10))
-    first, answers = 0, 0
-    while first < records.rows:
-        first, _, _ = read(library.cells("job", "run", first))
+    first, answers, more = 0, 0, True
+    while more:
+        first, more, _ = read(library.cells("job", "run", first))
         answers += 1
     assert answers == 3  # four on a page
 
@@ -98,7 +98,7 @@ def test_a_journal_that_fell_back_is_read_anew(
     clock.now += FRESH
     after = library.cells("job", "run", 0)
     assert origin(after) != origin(before)
-    assert read(after)[2] == {(9, 9, 9): [3, Outcome.DROPPED]}
+    assert in_cells(after) == {(9, 9, 9): (3, Outcome.DROPPED)}
 
 
 def test_another_job_of_the_same_name_is_shown_with_its_own_scene_and_finds_alone(
@@ -112,7 +112,7 @@ def test_another_job_of_the_same_name_is_shown_with_its_own_scene_and_finds_alon
     clock.now += FRESH
     cells = library.cells("job", "run", 0)
     new = json.loads(library.scene("job", "run"))
-    assert read(cells)[2].keys() == {(9, 9, k) for k in range(30)}
+    assert in_cells(cells).keys() == {(9, 9, k) for k in range(30)}
     assert (old["gripper"], new["gripper"]) == ("jaw", "half")
     assert new["origin"] == origin(cells) != old["origin"]
     assert list(json.loads(library.grasp("job", "run", 3))["joints"]) == ["left"]
@@ -185,8 +185,30 @@ def test_a_grasp_is_told_with_what_replays_it(records: HandMadeRecords, library:
     records.record(random_finds(9))
     told = json.loads(library.grasp("job", "run", 10))
     assert told["number"] == 10
-    assert told["command"] == "qdgrasp show runs/mug --grasp 10"
+    assert told["commands"] == [
+        "qdgrasp show runs/mug --grasp 10",
+        "qdgrasp render runs/mug --grasp 10 -o grasp.png",
+    ]
     assert set(told["links"]) == {link["name"] for link in json.loads(library.scene("job", "run"))["links"]}
+
+
+def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(
+    records: HandMadeRecords, library: Exhibits, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = finds([5], [(1, 0, 0)], [Outcome.HELD])
+    scored = finds([5], [(1, 0, 0)], [Outcome.HELD], etas=[0.75])
+    told = [Page(ORIGIN, found, 5, 9)] * 3 + [Page(ORIGIN, scored, 9, 9)]
+    asked = []
+    monkeypatch.setattr(records, "page", lambda job, run, first: asked.append(first) or told.pop(0))
+    upto, more, shown = read(library.cells("job", "run", 0))
+    assert (asked, more, list(shown.values())) == ([0, 5], False, [(5, -1)])
+    library.cells("job", "run", upto)
+    assert asked == [0, 5]
+    clock.now += FRESH
+    assert read(library.cells("job", "run", upto)) == (upto, False, {})
+    clock.now += FRESH
+    assert list(read(library.cells("job", "run", upto))[2].values()) == [(5, 0.75)]
+    assert asked == [0, 5, 5, 5]
 
 
 def test_a_row_that_is_no_success_is_no_grasp(records: HandMadeRecords, library: Exhibits) -> None:

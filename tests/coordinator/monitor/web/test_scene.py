@@ -39,8 +39,8 @@ ALONE = """async () => {
   await view.start();
 }"""
 PLACE = """(number) => {
-  const { stage, voxels } = view, place = view.mark.position.clone();
-  place.fromArray(voxels.cell(voxels.slotOf(number))).multiplyScalar(0.01).project(stage.lens.camera);
+  const { stage, cells } = view, place = view.cast.mark.position.clone();
+  place.fromArray(cells.cell(cells.slotOf(number))).multiplyScalar(0.01).project(stage.lens.camera);
   const { left, top, width, height } = view.canvas.getBoundingClientRect();
   return [left + (width * (1 + place.x)) / 2, top + (height * (1 - place.y)) / 2];
 }"""
@@ -54,10 +54,11 @@ RESTS = """() => new Promise((done) => {
   look();
 })"""
 ANOTHER = """async () => {
-  while (view.told.gripper !== "claw" || view.voxels.size !== 30) await new Promise(requestAnimationFrame);
+  const is = () => view.cast?.told.gripper === "claw" && view.cells.size === 30;
+  while (!is()) await new Promise(requestAnimationFrame);
 }"""
-CONTENT = """() => Object.fromEntries([...view.voxels.numbers.subarray(0, view.voxels.size)].map(
-  (number, slot) => [number, [...view.voxels.cell(slot), view.voxels.kind(slot)]]))"""
+CONTENT = """() => Object.fromEntries(Array.from({ length: view.cells.size }, (_, slot) => slot).map(
+  (slot) => [view.cells.number(slot), [...view.cells.cell(slot), view.cells.kind(slot)]]))"""
 Page = Any
 
 
@@ -123,7 +124,7 @@ def test_what_is_found_while_one_looks_appears(page: Page, records: HandMadeReco
 def test_another_job_of_the_same_name_is_shown_with_its_own_object(
     alone: Page, records: HandMadeRecords
 ) -> None:
-    assert alone.evaluate("[view.told.gripper, view.voxels.size]") == ["jaw", 4]
+    assert alone.evaluate("[view.told.gripper, view.cells.size]") == ["jaw", 4]
     many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
     records.become(made_scene("claw"), Origin("2" * 64, 2.0), many)
     alone.evaluate(ANOTHER)
@@ -138,7 +139,7 @@ def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
             expect(page.locator("#grasp")).to_be_hidden()
             page.keyboard.press("n")
         expect(page.locator("#grasp h4")).to_have_text(f"Grasp {number}")
-    expect(page.locator("#grasp code")).to_have_text("qdgrasp show runs/mug --grasp 3")
+    expect(page.locator("#grasp .replay code").first).to_have_text("qdgrasp show runs/mug --grasp 3")
     expect(page.locator("#grasp")).to_contain_text("no shake survived")
 
 
@@ -167,23 +168,23 @@ def test_a_click_on_a_voxel_chooses_its_grasp(alone: Page, number: int) -> None:
     alone.mouse.click(*alone.evaluate(PLACE, number))
     alone.wait_for_function("() => window.grasp")
     assert alone.evaluate("grasp.number") == number
-    assert alone.evaluate("[view.hand.visible, view.mark.visible]") == [True, True]
+    assert alone.evaluate("[view.cast.hand.visible, view.cast.mark.visible]") == [True, True]
 
 
 def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
     alone.mouse.click(20, 20)
     alone.wait_for_function("() => window.grasp === null")
-    assert alone.evaluate("[view.hand.visible, view.mark.visible]") == [False, False]
+    assert alone.evaluate("[view.cast.hand.visible, view.cast.mark.visible]") == [False, False]
 
 
 def test_the_hand_stands_where_the_server_says(alone: Page, records: HandMadeRecords) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
     told = alone.evaluate("grasp.links")
     stands = alone.evaluate(
-        "() => { view.stage.things.updateMatrixWorld(); return view.hand.children.map("
+        "() => { view.stage.things.updateMatrixWorld(); return view.cast.hand.children.map("
         "(link) => link.matrixWorld.clone().transpose().toArray()) }"
     )
     assert np.allclose(stands, list(told.values()), atol=1e-9)
@@ -194,7 +195,7 @@ def test_pages_that_come_by_and_by_leave_what_one_would(alone: Page, records: Ha
     more["number"] += 20
     for start in range(0, 300, 100):
         records.record(more[start : start + 100])
-        alone.wait_for_function("(upto) => Math.max(...view.voxels.numbers) >= upto - 40", arg=records.rows)
+        alone.wait_for_function("(upto) => Math.max(...view.cells.order()) >= upto - 60", arg=records.rows)
     alone.wait_for_function("(words) => window.words === words", arg=_words(records))
     by_and_by = alone.evaluate(CONTENT)
     alone.evaluate("view.stop()")
@@ -230,7 +231,7 @@ def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
 
 def test_a_view_that_was_stopped_holds_nothing(alone: Page, records: HandMadeRecords) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
     alone.evaluate(RESTS)
     assert alone.evaluate("view.stage.renderer.info.memory.geometries") > 0
     alone.evaluate("view.stop()")
@@ -243,7 +244,7 @@ def test_where_motion_is_unwelcome_new_cells_do_not_flash(chromium: Any, place: 
         page.evaluate(ALONE)
         records.record(finds([12], [(0, 0, 9)], [Outcome.HELD]))
         page.wait_for_function("() => window.words === '5 cells of 1 cm'")
-        assert not page.evaluate("view.voxels.glows(performance.now() / 1000)")
+        assert not page.evaluate("view.cast.voxels.glows(performance.now() / 1000)")
 
 
 def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> None:

@@ -11,6 +11,7 @@ from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web.app import serve
 from qdgrasp_coordinator.monitor.web.broadcast import MOST
+from qdgrasp_coordinator.monitor.web.live_site import LiveSite
 from qdgrasp_protocol.errors import EndpointError
 from qdgrasp_protocol.lifetime import Stop
 
@@ -72,4 +73,4 @@ def test_a_place_that_is_taken_is_said(feed: FakeFeed) -> None:
     with socket.create_server((HERE, 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(EndpointError, match=f"{HERE}:{port}: Address already in use; name another place"):
-            serve(feed, FakeLibrary(), HERE, port, "", Stop())
+            serve(LiveSite(feed, FakeLibrary()), HERE, port, "", Stop(), print)

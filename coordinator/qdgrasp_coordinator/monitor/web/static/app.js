@@ -12,6 +12,7 @@ import { Outcomes } from "./outcomes.js";
 import { Runs } from "./runs.js";
 import { Stream } from "./stream.js";
 import { Summary } from "./summary.js";
+import { OVER } from "./words.js";
 import { Workers } from "./workers.js";
 
 const API = "api";
@@ -26,7 +27,7 @@ let state = null;
 /** The chosen job; the first that goes on where none is chosen. */
 function chosen(jobs) {
   if (choice.job) return jobs.find(({ job }) => job === choice.job);
-  return jobs.find((each) => !["ended", "cancelled", "gone"].includes(each.state)) ?? jobs[0];
+  return jobs.find((each) => !OVER.includes(each.state)) ?? jobs[0];
 }
 
 function show() {
@@ -52,4 +53,4 @@ find("skip").addEventListener("click", (event) => {
   event.preventDefault(); // the address says what is chosen
   find("main").focus();
 });
-new Stream(`${API}/stream`, heard, (lost) => link.show(lost, state?.linked));
+new Stream(`${API}/stream`, heard, (lost) => link.show(lost, state));

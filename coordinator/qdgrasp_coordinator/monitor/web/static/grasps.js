@@ -2,6 +2,7 @@
 
 import { say } from "./element.js";
 import { Card } from "./scene/card.js";
+import { Filters } from "./scene/filters.js";
 import { Key } from "./scene/key.js";
 
 export class Grasps {
@@ -17,16 +18,22 @@ export class Grasps {
     this.veil = find("scene-empty");
     this.card = new Card(find("grasp"), () => this.#close());
     this.key = new Key(find("scene-key"));
+    this.filters = new Filters(find("scene-filters"));
   }
 
-  /** Shows the chosen run, or of several the one that goes on. */
+  /** Shows the chosen run of a job, or of several the one that goes on. */
   show(job, run) {
     const one = run ?? job.runs.find(({ finished }) => !finished) ?? job.runs.at(-1);
-    say(this.run, one && job.figures.runs > 1 ? one.run : "");
-    const shown = one ? `${job.job}/${one.run}` : "";
+    this.look(job.job, one?.run, job.figures.runs > 1);
+  }
+
+  /** Show a run, and its name where `named`; without one: none. */
+  look(job, run, named) {
+    say(this.run, named && run ? run : "");
+    const shown = run ? JSON.stringify([job, run]) : "";
     if (shown === this.#shown) return;
     this.#shown = shown;
-    this.#open(job.job, one?.run);
+    this.#open(job, run);
   }
 
   async #open(job, run) {
@@ -34,7 +41,7 @@ export class Grasps {
     this.#view?.stop();
     this.#view = null;
     this.card.show(null);
-    this.key.steer(null);
+    this.#steer(null);
     if (!run) return this.#veil("Nothing is in progress.");
     try {
       const { SceneView } = await import("./scene.js"); // three is large: the rest of the page does not wait for it
@@ -43,12 +50,17 @@ export class Grasps {
       this.#view = new SceneView(this.canvas, this.api, job, run);
       this.#view.onselect = (grasp) => this.card.show(grasp);
       this.#view.onstatus = (words) => say(this.words, words);
-      this.#view.onkinds = (kinds) => this.key.show(kinds);
-      this.key.steer(this.#view);
+      this.#view.onchange = () => [this.key, this.filters].forEach((part) => part.show());
+      this.#steer(this.#view);
       this.#view.start();
     } catch (error) {
       this.#veil(`The view in 3D cannot be drawn here: ${error.message}. The rest of the page does without it.`);
     }
+  }
+
+  #steer(view) {
+    this.key.steer(view);
+    this.filters.steer(view);
   }
 
   #close() {

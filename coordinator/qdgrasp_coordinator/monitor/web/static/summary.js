@@ -2,7 +2,7 @@
 
 import { element, keyed, put, say } from "./element.js";
 import { extent } from "./extent.js";
-import { ago, count, percent, rate, several, short, span } from "./words.js";
+import { ago, count, OVER, percent, rate, several, short, span } from "./words.js";
 
 const STARTING = "starting: no recorder has answered yet";
 
@@ -62,7 +62,7 @@ export class Summary {
       ["Grasps", short(subject.grasps), share(subject.grasps), "at least one shake survived"],
       ["Robust", short(subject.robust), share(subject.robust), "both shakes survived"],
       ["Cells", short(subject.cells), "of 1 cm", "distinct cells with a success"],
-      ["Workers", short(job.figures.workers), `on ${several(hosts(job), "host")}`],
+      ["Workers", ...workers(job)],
       ["Errors", short(subject.errors), `${count(job.figures.requeued)} requeued`, "rows given up, and batches queued again"],
       ["Waiting", short(job.figures.waiting), job.figures.recorders ? "rows for the disk" : "no recorder", "rows not on disk yet"],
     ];
@@ -81,7 +81,14 @@ function make() {
 }
 
 function isOver(job, run) {
-  return Boolean(run?.finished) || ["ended", "cancelled", "gone"].includes(job.state);
+  return Boolean(run?.finished) || OVER.includes(job.state);
+}
+
+/** How many there are, and where; of a coordinator that says nothing nobody knows. */
+function workers(job) {
+  if (OVER.includes(job.state)) return ["0", job.state === "gone" ? "no coordinator" : "the job is over"];
+  if (job.state === "silent") return ["–", "nobody tells"];
+  return [short(job.figures.workers), `on ${several(hosts(job), "host")}`];
 }
 
 function hosts({ team }) {

@@ -2,9 +2,9 @@
 
 import { say } from "./element.js";
 import { Table } from "./table.js";
-import { ago, bytes, count, rate, several } from "./words.js";
+import { ago, bytes, count, OVER, rate, several, span } from "./words.js";
 
-const STATES = ["working", "idle", "stuck", "leaving", "gone"];
+const STATES = ["working", "idle", "stuck", "leaving", "unknown", "gone"];
 const COLUMNS = [
   { name: "host", title: "Host", value: ({ host, pid }) => `${host} ${pid}`, words: ({ host, pid }) => `${host} ${pid}` },
   { name: "state", title: "State", value: ({ state }) => STATES.indexOf(state), words: ({ state }) => state },
@@ -26,11 +26,22 @@ export class Workers {
     });
   }
 
-  show({ team }) {
+  show({ state, silent, team }) {
+    if (OVER.includes(state)) return this.#say(`nobody works: the job is ${state === "gone" ? "without a coordinator" : state}`, []);
+    if (state === "silent") return this.#say(`nobody tells of them for ${span(silent)}`, team.workers.map((worker) => unheard(worker, silent)));
     const states = STATES.filter((state) => team.states[state]).map((state) => `${count(team.states[state])} ${state}`);
     const unlisted = team.total - team.workers.length;
     const rest = unlisted ? `; ${several(unlisted, "other")} not listed` : "";
-    say(this.words, team.total ? states.join(", ") + rest : "none has joined: start some with qdgrasp-worker");
-    this.table.show(team.workers, ({ state }) => state);
+    this.#say(team.total ? states.join(", ") + rest : "none has joined: start some with qdgrasp-worker", team.workers);
   }
+
+  #say(words, workers) {
+    say(this.words, words);
+    this.table.show(workers, ({ state }) => state);
+  }
+}
+
+/** A worker as it was when it was told of last. */
+function unheard(worker, silent) {
+  return { ...worker, state: worker.state === "gone" ? "gone" : "unknown", rate: 0, seen: worker.seen + silent };
 }

@@ -7,7 +7,7 @@ const ARM = 26; // px
 const LENGTHS = [0.05, 0.02, 0.01, 0.005, 0.1, 0.2, 0.5]; // m: the first that fits
 const SHORTEST = 28, LONGEST = 150; // px
 
-function made(parent, tag, attributes = {}) {
+export function made(parent, tag, attributes = {}) {
   const node = document.createElementNS(SVG, tag);
   for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
   parent.append(node);
@@ -51,6 +51,6 @@ export class Axes {
   }
 }
 
-function put(node, attributes) {
+export function put(node, attributes) {
   for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value.toFixed(1));
 }

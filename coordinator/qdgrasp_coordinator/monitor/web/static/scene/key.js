@@ -7,11 +7,12 @@ export class Key {
   #view = null;
 
   constructor(node) {
-    this.kinds = element("ul", { "aria-label": "Cells by the best grasp in them; press one to hide or show its cells" });
+    this.kinds = element("ul", { "aria-label": "Cells by the best grasp shown in them; press one to leave out or show such grasps" });
+    this.frames = this.#button("Frames", "Draw the frames of a chosen grasp (F)", (view) => (view.framed = !view.framed));
     this.cut = this.#button("Cut open", "Leave out the cells toward you on the right (C)", (view) => (view.cut = !view.cut));
     this.steps = element("div", { class: "steps" },
       this.#button("‹", "Previous grasp (P)", (view) => view.step(-1)), this.#button("›", "Next grasp (N)", (view) => view.step(1)),
-      this.#button("Whole", "See everything again (Home)", (view) => view.home()), this.cut);
+      this.#button("Whole", "See everything again (Home)", (view) => view.home()), this.cut, this.frames);
     node.replaceChildren(this.kinds, this.steps);
   }
 
@@ -22,13 +23,16 @@ export class Key {
     this.steps.hidden = true;
   }
 
-  /** Show the kinds as a view tells them. */
-  show(kinds) {
+  /** Show what the view shows now. */
+  show() {
+    const { told, cells, cut, framed } = this.#view;
     this.steps.hidden = false;
-    put(this.cut, "aria-pressed", String(this.#view.cut));
-    keyed(this.kinds, kinds, ({ outcome }) => outcome, (kind) => this.#made(kind), (item, { count: cells, shown }) => {
+    put(this.cut, "aria-pressed", String(cut));
+    put(this.frames, "aria-pressed", String(framed));
+    const kinds = told.kinds.map((kind, k) => ({ ...kind, cells: cells.counts[k], shown: cells.filter.kinds[k] }));
+    keyed(this.kinds, kinds, ({ outcome }) => outcome, (kind) => this.#made(kind), (item, { cells: number, shown }) => {
       put(item.firstChild, "aria-pressed", String(shown));
-      say(item.querySelector("b"), count(cells));
+      say(item.querySelector("b"), shown ? count(number) : "–");
     });
   }
 
@@ -41,7 +45,8 @@ export class Key {
   }
 
   #toggle(place) {
-    this.#view.shown = this.#view.shown.map((flag, k) => flag !== (k === place));
+    const { kinds } = this.#view.cells.filter;
+    this.#view.sift({ kinds: kinds.map((flag, k) => flag !== (k === place)) });
   }
 
   #button(words, title, action) {

@@ -37,4 +37,5 @@ const ACTIONS = {
   Escape: (view) => view.select(null),
   Home: (view) => view.home(), 0: (view) => view.home(),
   c: (view) => (view.cut = !view.cut),
+  f: (view) => (view.framed = !view.framed),
 };

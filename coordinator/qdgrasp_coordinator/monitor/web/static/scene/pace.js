@@ -25,6 +25,12 @@ export class Pace {
     return LEVELS[this.#level];
   }
 
+  /** How finely it is drawn, to be read by whoever measures. */
+  get words() {
+    const { scale, plain, share } = this.level;
+    return `${100 * scale} % of the pixels along each side, ${plain ? "squares" : "cubes"}, ${100 * share} % of the cells`;
+  }
+
   get finest() {
     return !this.#level;
   }

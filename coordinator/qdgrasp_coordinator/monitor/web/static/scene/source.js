@@ -27,9 +27,14 @@ export class Source {
   }
 
   async #get(path) {
-    const answer = await fetch(`${this.root}/${path}`, { signal: this.#ended.signal });
+    const answer = await fetch(`${this.root}/${path}`, { signal: this.#ended.signal }).catch(away);
     if (answer.ok) return answer;
     const said = await answer.json().catch(() => ({}));
-    throw new Error(said.error ?? `The monitor answered with ${answer.status}.`);
+    throw new Error(said.error ?? `The server answered with ${answer.status}.`);
   }
+}
+
+/** Nothing is at the other end any more. */
+function away(error) {
+  throw error.name === "AbortError" ? error : new Error("Nobody answers: the page's server has ended, or cannot be reached.");
 }

@@ -3,6 +3,7 @@
 import { Scene, Vector3, WebGLRenderer, WebGLRenderTarget } from "../vendor/three/three.module.min.js";
 import { OrbitControls } from "../vendor/three/OrbitControls.js";
 import { Axes } from "./axes.js";
+import { Frames } from "./frames.js";
 import { Lens } from "./lens.js";
 import { Pace } from "./pace.js";
 
@@ -32,6 +33,7 @@ export class Stage {
     this.renderer.setClearAlpha(0);
     this.controls = this.#steered();
     this.axes = new Axes(canvas.parentElement);
+    this.frames = new Frames(canvas.parentElement);
     this.#sizes = new ResizeObserver(() => this.#fit());
     this.#sizes.observe(canvas);
     canvas.addEventListener("webglcontextlost", this.#lost);
@@ -103,6 +105,7 @@ export class Stage {
     this.#sizes.disconnect();
     this.controls.dispose();
     this.axes.dispose();
+    this.frames.dispose();
     this.canvas.removeEventListener("webglcontextlost", this.#lost);
     this.canvas.removeEventListener("webglcontextrestored", this.#back);
     this.canvas.removeEventListener("pointerdown", this.#focus);
@@ -126,12 +129,14 @@ export class Stage {
     else this.#judge();
     this.#before = moving ? at : 0;
     this.axes.draw(this.lens);
+    this.frames.draw(this.lens);
     this.drawn += 1;
   }
 
   /** Keep the pace while it moves. */
   #follow(at) {
     if (this.#before) this.pace.took(at - this.#before);
+    this.canvas.dataset.pace = this.pace.words;
   }
 
   /** See how long a still picture takes: it is smoothed where that costs little, and by a second picture. */

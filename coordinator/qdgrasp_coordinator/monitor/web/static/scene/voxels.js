@@ -4,6 +4,7 @@
 import {
   BufferAttribute, BufferGeometry, DynamicDrawUsage, GLSL3, Matrix4, Points, RawShaderMaterial, Vector3, Vector4,
 } from "../vendor/three/three.module.min.js";
+import { FRAGMENT, GLOW, NAMED_FRAGMENT, NAMED_VERTEX, VERTEX } from "./shaders.js";
 import { raw } from "./solid.js";
 
 export const CELL = 0.01; // m
@@ -12,78 +13,14 @@ const DOT = 0.0026; // m: while a hand is shown among them
 const CELLS = new Vector3(CELL, CELL, CELL);
 const BEHIND = -1; // order of drawing
 const FADED = 0.5; // how pale they are then
-const GLOW = 1.2; // s: how long a new one shows that it is new
 const OLD = -1e6;
-const FIRST = 4096; // voxels that there is room for at first
 const CLOSE = 256; // slots: it takes longer to send two pieces than what lies between
 
-// Cells become places on the screen by one matrix; what lies behind both planes is left out.
-const PLACE = `
-in vec4 position;
-uniform mat4 seen;
-uniform vec4 sideways, onward;
-uniform vec3 shown;
-uniform float size, cut;
-float place(vec4 cell) {
-  float near = dot(cell, onward), kind = position.w;
-  bool open = cut > 0.5 && near > 0.0 && dot(cell, sideways) > 0.0;
-  bool kept = (kind < 0.5 ? shown.x : kind < 1.5 ? shown.y : shown.z) > 0.5;
-  gl_PointSize = size;
-  gl_Position = kept && !open ? seen * cell : vec4(2.0);
-  return near;
-}`;
-const VERTEX = `
-in float born;
-uniform vec3 colours[3], flash, paper;
-uniform float now, faded;
-flat out vec3 colour;
-${PLACE}
-void main() {
-  float near = place(vec4(position.xyz, 1.0)), kind = position.w;
-  colour = kind < 0.5 ? colours[0] : kind < 1.5 ? colours[1] : colours[2];
-#ifndef PLAIN
-  colour = mix(colour, flash, 0.85 * clamp(1.0 - (now - born) / ${GLOW.toFixed(1)}, 0.0, 1.0));
-#endif
-  colour = mix(colour * clamp(0.9 + 0.14 * near, 0.72, 1.06), paper, faded);
-}`;
-// The ray through a pixel enters the cube where the last of its three slabs is entered, if none was left before.
-const FRAGMENT = `
-precision highp float;
-uniform vec3 across, down, enter, thick, light;
-flat in vec3 colour;
-out vec4 painted;
-void main() {
-#ifdef PLAIN
-  painted = vec4(colour * light.x, 1.0);
-#else
-  vec2 p = gl_PointCoord - 0.5;
-  vec3 near = p.x * across + p.y * down + enter, far = near + thick;
-  float hit = max(max(near.x, near.y), near.z);
-  if (hit > min(min(far.x, far.y), far.z)) discard;
-  painted = vec4(colour * (hit == near.x ? light.x : hit == near.y ? light.y : light.z), 1.0);
-#endif
-}`;
-const NAMED_VERTEX = `
-flat out vec4 name;
-${PLACE}
-void main() {
-  place(vec4(position.xyz, 1.0));
-  int number = gl_VertexID + 1;
-  name = vec4(number & 255, (number >> 8) & 255, (number >> 16) & 255, 255) / 255.0;
-}`;
-const NAMED_FRAGMENT = `
-precision highp float;
-flat in vec4 name;
-out vec4 painted;
-void main() { painted = name; }`;
-
 export class Voxels extends Points {
-  #slots = new Map();
-  #cells = new Int16Array(0);
   #born = new Float32Array(0);
   #uniforms = {
     seen: { value: new Matrix4() }, sideways: { value: new Vector4() }, onward: { value: new Vector4() },
-    shown: { value: [1, 1, 1] }, cut: { value: 0 }, size: { value: 1 }, now: { value: 0 },
+    cut: { value: 0 }, size: { value: 1 }, now: { value: 0 },
     colours: { value: [] }, flash: { value: raw("#ffffff") },
     paper: { value: raw("#ffffff") }, faded: { value: 0 },
     across: { value: new Vector3() }, down: { value: new Vector3() }, enter: { value: new Vector3() },
@@ -92,13 +29,13 @@ export class Voxels extends Points {
   #edge = EDGE;
   #newest = OLD;
   #most = 0; // m from the middle
+  #measured = 0; // slots whose places are in that
+  #renewed = false; // whether all are to be sent to the graphics card
 
-  /** @param kinds the scene's kinds of success, from worst to best */
-  constructor(kinds, middle) {
+  /** @param cells what was found; @param kinds their looks; @param middle where the object is [m] */
+  constructor(cells, kinds, middle) {
     super();
-    this.kinds = kinds;
-    this.numbers = new Uint32Array(0);
-    this.counts = kinds.map(() => 0);
+    this.cells = cells;
     this.frustumCulled = false;
     this.renderOrder = 1;
     this.middle = new Vector3(...middle);
@@ -107,29 +44,25 @@ export class Voxels extends Points {
     this.plain = this.#material(VERTEX, FRAGMENT, { PLAIN: 1 });
     this.named = this.#material(NAMED_VERTEX, NAMED_FRAGMENT);
     this.material = this.fine;
-    this.#grow(FIRST);
+    this.#fit();
   }
 
-  get size() {
-    return this.#slots.size;
+  /** Show what changed in these slots, which are in order; `now` [s] is when they are born, null: they were there. */
+  change(slots, now) {
+    this.#fit();
+    for (const slot of slots) this.#born[slot] = now ?? OLD;
+    if (!slots.length) return;
+    this.#send(slots);
+    if (now !== null) this.#newest = now;
   }
 
-  /** Take a page in; `now` [s] is when its voxels are born, null where they are to be there already. */
-  update({ n, numbers, cells, outcomes }, now) {
-    const worst = this.kinds[0].outcome;
-    const changed = new Uint32Array(n);
-    if (this.size + n > this.numbers.length) this.#grow(2 ** Math.ceil(Math.log2(this.size + n)));
-    for (let i = 0; i < n; i++) {
-      const slot = this.#slot(cells[3 * i], cells[3 * i + 1], cells[3 * i + 2]);
-      const kind = outcomes[i] - worst;
-      if (this.numbers[slot] !== numbers[i]) this.#born[slot] = now ?? OLD;
-      this.#count(slot, kind);
-      this.numbers[slot] = numbers[i];
-      this.#cells[4 * slot + 3] = kind;
-      changed[i] = slot;
+  /** Show all anew. */
+  renew() {
+    this.#renewed = true;
+    for (const attribute of this.#attributes) {
+      attribute.clearUpdateRanges();
+      attribute.needsUpdate = true;
     }
-    if (n) this.#send(changed.sort());
-    if (n && now !== null) this.#newest = now;
   }
 
   /** Whether some still show that they are new. */
@@ -137,31 +70,14 @@ export class Voxels extends Points {
     return now - this.#newest < GLOW;
   }
 
-  cell(slot) {
-    return this.#cells.subarray(4 * slot, 4 * slot + 3);
-  }
-
-  kind(slot) {
-    return this.#cells[4 * slot + 3];
-  }
-
   /** How far from the middle the farthest one is [m]. */
   get farthest() {
+    const { x, y, z } = this.middle;
+    for (; this.#measured < this.cells.size; this.#measured++) {
+      const [a, b, c] = this.cells.cell(this.#measured);
+      this.#most = Math.max(this.#most, Math.hypot(CELL * a - x, CELL * b - y, CELL * c - z));
+    }
     return this.#most;
-  }
-
-  /** The slot of the voxel with a find; -1 where there is none. */
-  slotOf(number) {
-    return this.numbers.subarray(0, this.size).indexOf(number);
-  }
-
-  /** Which kinds are shown. */
-  set shown(flags) {
-    this.#uniforms.shown.value = flags.map(Number);
-  }
-
-  get shown() {
-    return this.#uniforms.shown.value.map(Boolean);
   }
 
   /** Whether those toward the viewer's right are left out, so that one sees inside. */
@@ -193,11 +109,11 @@ export class Voxels extends Points {
     const span = (axis) => Math.abs(axis.x) + Math.abs(axis.y) + Math.abs(axis.z);
     const extent = this.#edge * (plain ? 1.25 / Math.cbrt(share) : Math.max(span(right), span(up)));
     this.material = plain ? this.plain : this.fine;
-    const most = this.#most || 1; // m
+    const most = this.farthest || 1; // m
     for (const [plane, axis, unit] of [[uniforms.sideways, right, 1], [uniforms.onward, toward, most]]) {
       plane.value.set(...axis.clone().multiplyScalar(CELL / unit), -axis.dot(this.middle) / unit);
     }
-    this.geometry.setDrawRange(0, Math.ceil(share * this.size));
+    this.geometry.setDrawRange(0, Math.ceil(share * this.cells.size));
     uniforms.now.value = now;
     uniforms.size.value = Math.max(1, extent * scale);
     for (const k of ["x", "y", "z"]) {
@@ -218,6 +134,7 @@ export class Voxels extends Points {
 
   /** Called by the renderer. */
   onAfterRender(renderer) {
+    this.#renewed = false;
     if (this.renderOrder === BEHIND) renderer.clearDepth();
   }
 
@@ -230,33 +147,11 @@ export class Voxels extends Points {
     return new RawShaderMaterial({ glslVersion: GLSL3, uniforms: this.#uniforms, vertexShader, fragmentShader, defines });
   }
 
-  #slot(x, y, z) {
-    const key = ((x + 32768) * 65536 + y + 32768) * 65536 + z + 32768;
-    const known = this.#slots.get(key);
-    if (known !== undefined) return known;
-    const slot = this.#slots.size;
-    this.#slots.set(key, slot);
-    const place = 4 * slot;
-    this.#cells[place] = x;
-    this.#cells[place + 1] = y;
-    this.#cells[place + 2] = z;
-    this.#cells[place + 3] = -1;
-    const { x: a, y: b, z: c } = this.middle;
-    this.#most = Math.max(this.#most, Math.hypot(CELL * x - a, CELL * y - b, CELL * z - c));
-    return slot;
-  }
-
-  #count(slot, kind) {
-    const before = this.kind(slot);
-    if (before >= 0) this.counts[before] -= 1;
-    this.counts[kind] += 1;
-  }
-
   /** Have these slots, in order, sent to the graphics card, those close to each other together. */
   #send(slots) {
-    const attributes = Object.values(this.geometry.attributes);
+    if (this.#renewed) return; // all of them are sent anyway
     let first = slots[0], last = slots[0];
-    const range = () => attributes.forEach((each) => each.addUpdateRange(first * each.itemSize, (last - first + 1) * each.itemSize));
+    const range = () => this.#attributes.forEach((each) => each.addUpdateRange(first * each.itemSize, (last - first + 1) * each.itemSize));
     for (const slot of slots) {
       if (slot > last + CLOSE) {
         range();
@@ -265,22 +160,24 @@ export class Voxels extends Points {
       last = slot;
     }
     range();
-    for (const attribute of attributes) attribute.needsUpdate = true;
+    for (const attribute of this.#attributes) attribute.needsUpdate = true;
   }
 
-  #grow(room) {
-    const grown = (Type, old, width) => {
-      const array = new Type(width * room);
-      array.set(old);
-      return array;
-    };
-    this.numbers = grown(Uint32Array, this.numbers, 1);
-    this.#cells = grown(Int16Array, this.#cells, 4);
-    this.#born = grown(Float32Array, this.#born, 1);
+  get #attributes() {
+    return Object.values(this.geometry.attributes);
+  }
+
+  /** Have room for all cells. */
+  #fit() {
+    const { places } = this.cells;
+    if (this.geometry.attributes.position?.array === places) return;
+    const born = new Float32Array(places.length / 4).fill(OLD);
+    born.set(this.#born);
+    this.#born = born;
     this.geometry.dispose();
     this.geometry = new BufferGeometry();
-    this.geometry.setAttribute("position", new BufferAttribute(this.#cells, 4).setUsage(DynamicDrawUsage));
-    this.geometry.setAttribute("born", new BufferAttribute(this.#born, 1).setUsage(DynamicDrawUsage));
+    this.geometry.setAttribute("position", new BufferAttribute(places, 4).setUsage(DynamicDrawUsage));
+    this.geometry.setAttribute("born", new BufferAttribute(born, 1).setUsage(DynamicDrawUsage));
   }
 }
 

@@ -1,8 +1,7 @@
-// The mark: the edges of the cell of the chosen grasp, seen through everything.
+// Edges: those of a box, seen through everything.
 
 import { BoxGeometry, EdgesGeometry, GLSL3, LineSegments, RawShaderMaterial } from "../vendor/three/three.module.min.js";
 import { raw } from "./solid.js";
-import { CELL } from "./voxels.js";
 
 const VERTEX = `
 in vec3 position;
@@ -14,19 +13,21 @@ uniform vec3 colour;
 out vec4 painted;
 void main() { painted = vec4(colour, 1.0); }`;
 
-export class Mark extends LineSegments {
+export class Edges extends LineSegments {
   constructor(colour) {
     const uniforms = { colour: { value: raw(colour) } };
     const looks = { glslVersion: GLSL3, uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT, depthTest: false };
-    super(new EdgesGeometry(new BoxGeometry(CELL, CELL, CELL)), new RawShaderMaterial(looks));
+    super(new EdgesGeometry(new BoxGeometry(1, 1, 1)), new RawShaderMaterial(looks));
     this.visible = false;
     this.renderOrder = 4;
   }
 
-  /** Stand at a cell; null: be gone. */
-  at(cell) {
-    this.visible = Boolean(cell);
-    if (cell) this.position.set(...cell.map((k) => CELL * k));
+  /** Be those of the box between two corners [m]; without any, be gone. */
+  span(low = null, high = null) {
+    this.visible = Boolean(low);
+    if (!low) return;
+    this.position.set(...low.map((from, axis) => (from + high[axis]) / 2));
+    this.scale.set(...low.map((from, axis) => high[axis] - from));
   }
 
   wear(colour) {
