@@ -1,13 +1,16 @@
 """Runs that are disturbed by seeded blows end as undisturbed ones do: `python -m tests.chaos`.
 
-Without --seed: one seed of 20 000 evaluations and nine of 5000.
+Without --seed: one seed of 20 000 evaluations and nine of 5000, some of them at a time, each in a process of
+its own: most of the time they wait for somebody to be started again, or to wake up.
 """
 
 import argparse
 import shutil
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tests.chaos.plan import blows, course
@@ -25,17 +28,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, help="only this one")
     parser.add_argument("--evaluations", type=int, help="in a run (default: 20000 of seed 0, 5000 of others)")
     parser.add_argument("--workers", type=int, default=4, help="how many (default: 4)")
+    parser.add_argument("--together", type=int, default=3, help="seeds at a time (default: 3)")
     parser.add_argument("--minutes", type=float, default=20.0, help="that one run may take (default: 20)")
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"), help="folder (default: runs/chaos)")
     parser.add_argument("--plan", type=int, metavar="N", help="only show the first N blows of the seed")
     asked = parser.parse_args(arguments)
     if asked.plan is not None:
         return show_plan(asked.seed or 0, asked.workers, asked.plan)
+    if asked.seed is not None:
+        return int(not carry_out(asked.seed, asked))
     began = time.monotonic()
-    seeds = SEEDS if asked.seed is None else [asked.seed]
-    failed = [seed for seed in seeds if not carry_out(seed, asked)]
-    say(f"{len(seeds)} seeds in {(time.monotonic() - began) / 60:.1f} min; failed: {failed or 'none'}")
+    failed = carry_out_all(list(sys.argv[1:] if arguments is None else arguments), asked.together)
+    say(f"{len(SEEDS)} seeds in {(time.monotonic() - began) / 60:.1f} min; failed: {failed or 'none'}")
     return int(bool(failed))
+
+
+def carry_out_all(arguments: list[str], together: int) -> list[int]:
+    """Carry all seeds out, so many at a time; those that failed."""
+
+    def is_well(seed: int) -> bool:
+        command = [sys.executable, "-m", "tests.chaos", *arguments, "--seed", str(seed)]
+        return subprocess.run(command, check=False).returncode == 0
+
+    with ThreadPoolExecutor(together) as pool:
+        return [seed for seed, well in zip(SEEDS, pool.map(is_well, SEEDS), strict=True) if not well]
 
 
 def show_plan(seed: int, workers: int, number: int) -> int:
@@ -55,15 +71,15 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     out = asked.out.resolve()
     say(f"seed {seed}: {evaluations} evaluations, {kind.method}, protocol {kind.protocol}")
     expected = undisturbed_digest(spec, out / "undisturbed")
-    say(f"undisturbed digest {expected}")
+    say(f"seed {seed}: undisturbed digest {expected}")
     home = out / f"seed-{seed}"
     shutil.rmtree(home, ignore_errors=True)
     plan = blows(seed, asked.workers)
     terms = {"workers": asked.workers, "pace": kind.pace, "limit": 60 * asked.minutes}
-    story = disturb(home, spec, plan, **terms, say=Log(home))
+    story = disturb(home, spec, plan, **terms, say=Log(seed, home))
     is_same = story.digest == expected
     say(f"seed {seed}: {story.words}; ended by themselves: {dict(story.ended) or 'none'}")
-    say(f"disturbed digest   {story.digest or 'none'}: {'the same' if is_same else 'ANOTHER ONE'}")
+    say(f"seed {seed}: disturbed digest {story.digest or 'none'}: {'the same' if is_same else 'ANOTHER ONE'}")
     if is_same and not story.troubles:
         return True
     if story.digest:
@@ -77,14 +93,14 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
 class Log:
     """Prints events, and keeps them in a file."""
 
-    def __init__(self, home: Path) -> None:
-        self._file = home / "chaos.log"
+    def __init__(self, seed: int, home: Path) -> None:
+        self._seed, self._file = seed, home / "chaos.log"
 
     def __call__(self, line: str) -> None:
         self._file.parent.mkdir(parents=True, exist_ok=True)
         with self._file.open("a", encoding="utf-8") as file:
             file.write(f"{line}\n")
-        say(line)
+        say(f"{self._seed}: {line}")
 
 
 def say(line: str) -> None:
