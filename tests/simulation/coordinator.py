@@ -13,7 +13,7 @@ from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.serving.inbox import JoinRequest, LinkChange
 from qdgrasp_coordinator.serving.lane import Lane
 from qdgrasp_coordinator.serving.opener import Begun, Failed
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_coordinator.serving.service import MAX_PATIENCE
 from qdgrasp_coordinator.serving.turn import Turn
 from qdgrasp_protocol import codec

@@ -17,9 +17,9 @@ from tests.simulation.watch import Watch
 
 from qdgrasp_coordinator.dispatching import tickets
 from qdgrasp_coordinator.recording import intake
-from qdgrasp_coordinator.serving import outbox, record
+from qdgrasp_coordinator.serving import outbox, recorder_link
 
-SMALL = [(outbox, "SLICE", 4), (outbox, "BOUND", 8), (record, "PAGE", 7), (tickets, "REMEMBERED", 30)]
+SMALL = [(outbox, "SLICE", 4), (outbox, "BOUND", 8), (recorder_link, "PAGE", 7), (tickets, "REMEMBERED", 30)]
 SMALL += [(intake, "GROUP_ROWS", 6), (intake, "CAPACITY", 150)]
 """Bounds that small histories reach."""
 

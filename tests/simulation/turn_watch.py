@@ -148,7 +148,7 @@ class TurnWatch:
         """Check that nobody is remembered who is gone."""
         gone = set(self._dispatch._roster._members) - living
         require(not gone, "bounded memory", "workers that are gone:", gone)
-        gone = self._host.turn._alive - living
+        gone = self._host.turn.crew.alive - living
         require(not gone, "bounded memory", "tokens that are gone:", gone)
 
 

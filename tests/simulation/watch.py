@@ -16,7 +16,7 @@ from qdgrasp_coordinator.recording.intake import Verdict
 from qdgrasp_coordinator.serving import outbox
 from qdgrasp_coordinator.serving.lane import Lane
 from qdgrasp_coordinator.serving.outbox import Outbox
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.serving.desk import Desk
 

@@ -14,7 +14,7 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
 from qdgrasp_coordinator.runs import preparation
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.command import run_command

@@ -124,7 +124,7 @@ class Board:
         if now < self._team_due and states == self._states:
             return
         self._team_due, self._states = now + TEAM_INTERVAL, states
-        pages = self._turn().team(now)
+        pages = self._turn().crew.pages(now)
         self.display.keep(self._keys.stat("team/*"), {str(page.page) for page in pages})
         for page in pages:
             self._put(self._keys.stat(f"team/{page.page}"), page)

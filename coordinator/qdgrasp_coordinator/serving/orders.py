@@ -70,9 +70,9 @@ class Orders:
 
     def _drain(self, order: Order, now: float) -> str:
         turn = self._turn()
-        chosen = self._chosen(turn.workers(now), order)
+        chosen = self._chosen(turn.crew.figures(now), order)
         for worker in chosen:
-            turn.drain(worker.wid)
+            turn.crew.drain(worker.wid)
         who = f"{len(chosen)} worker{'s' if len(chosen) > 1 else ''}"
         return f"Asked {who} of job '{self._job}' to finish the batches at hand and leave."
 

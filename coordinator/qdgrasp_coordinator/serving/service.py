@@ -9,7 +9,7 @@ import socket
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import ExitStack
+from contextlib import closing
 
 import structlog
 
@@ -17,11 +17,11 @@ from qdgrasp_coordinator.campaigns.programme import Programme
 from qdgrasp_coordinator.counts.figures import JobFigures
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.serving.board import Board
+from qdgrasp_coordinator.serving.doors import Doors
 from qdgrasp_coordinator.serving.ending import Ending
 from qdgrasp_coordinator.serving.inbox import (
     Event,
     Inbox,
-    LinkChange,
     OrderRequest,
     TokenChange,
     Wake,
@@ -84,10 +84,10 @@ class CoordinatorService:
         self._keys = Keys(job)
         self._batch_size = batch_size
         self._inbox = Inbox()
-        self._doors = ExitStack()
         self._lanes = Lanes(programme, make_record, self._inbox.put, stop)
-        self._reception = Reception(self._inbox, self._lanes.scene)
         self._board = Board(bus, job, self._lanes, lambda: self._turn)
+        reception = Reception(self._inbox, self._lanes.scene)
+        self._doors = Doors(bus, self._keys, self._inbox, reception, self._board.display)
         self._note = self._board.chronicle.note
         self._turn = self._new_turn(0)
         self._turn.is_paused = paused
@@ -113,8 +113,9 @@ class CoordinatorService:
             journal that is not what its spec replays to. The others are.
         """
         self._stop.tell(lambda: self._inbox.put(Wake()))
-        with self._doors:
-            self._open_doors()
+        with closing(self._lanes), self._doors:
+            self._board.open(time.monotonic())
+            self._doors.open()
             while not (self._stop.is_set or self._lanes.are_done or self._has_ended):
                 self._step()
                 look(time.monotonic())
@@ -205,17 +206,6 @@ class CoordinatorService:
 
     # Runs begin, go on and end.
 
-    def _open_doors(self) -> None:
-        """Open the doors to recorders, and to whoever watches or administers the job."""
-        enter = self._doors.enter_context
-        self._doors.callback(self._lanes.close)
-        enter(self._bus.subscribe(self._keys.recorded, self._inbox.put))
-        enter(self._bus.watch(self._keys.recorder_token(), self._token_changed))
-        enter(self._bus.answer(self._keys.control, self._reception.order))
-        self._board.open(time.monotonic())
-        for shown in (self._keys.stat(), self._keys.meta, self._keys.recent):
-            enter(self._bus.show(shown, self._board.display.values))
-
     def _begin(self, lane: Lane, opened: Opened) -> None:
         """Take on a run that is open."""
         if not self._turn.epoch:
@@ -232,18 +222,10 @@ class CoordinatorService:
         self._note("run", words, run=lane.run)
 
     def _begin_turn(self, epoch: int, identity: str) -> None:
-        """Open the doors to workers: results, joins and scenes first, the token that invites them last."""
+        """Invite workers."""
         before, self._turn = self._turn, self._new_turn(epoch)
         self._turn.is_paused, self._turn.is_ending = before.is_paused, before.is_ending
-        enter = self._doors.enter_context
-        enter(self._bus.subscribe(self._keys.result(), self._inbox.put))
-        enter(self._bus.subscribe(self._keys.stat("worker/*"), self._inbox.put))
-        enter(self._bus.answer(self._keys.join, self._reception.join))
-        enter(self._bus.answer(self._keys.asset(), self._reception.scene))
-        enter(self._bus.watch(self._keys.worker_token(), self._token_changed))
-        enter(self._bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
-        enter(self._bus.watch(self._keys.coordinator_token(), self._token_changed))
-        enter(self._bus.token(self._keys.coordinator_token(epoch)))
+        self._doors.open_to_workers(epoch)
         self._board.publish_meta(identity)
         how = f"takes over with turn {epoch}" if epoch > 1 else "begins"
         self._note("job", f"The coordinator on {socket.gethostname()} (process {os.getpid()}) {how}.")
@@ -274,11 +256,6 @@ class CoordinatorService:
         self._lanes.end(lane)
         log.info("finished", run=lane.run, reason=lane.pipeline.finished)
         self._note("run", f"Run '{lane.run}' is finished: {lane.pipeline.finished}.", run=lane.run)
-
-    # Messages are sent.
-
-    def _token_changed(self, key: str, alive: bool) -> None:
-        self._inbox.put(TokenChange(key, alive))
 
     def _put(self, key: str, message: Message, channel: Channel) -> None:
         kind = codec.encoding(type(message))

@@ -18,7 +18,7 @@ from tests.coordinator.searches.spaces import plain
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_coordinator.serving.lane import Lane
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 

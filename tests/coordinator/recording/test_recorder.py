@@ -19,7 +19,7 @@ from tests.coordinator.serving.served import until
 
 from qdgrasp_coordinator.counts.stretch import Stretch, to_message
 from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.errors import DiskFull, FolderError, Refused
 from qdgrasp_protocol.keys import Keys

@@ -19,7 +19,7 @@ from tests.coordinator.recording.recorded import (
 from qdgrasp_coordinator.counts.stretch import Stretch
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_protocol import chunks
 from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import DiskFull, FolderError, Refused

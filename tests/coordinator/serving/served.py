@@ -7,6 +7,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from queue import SimpleQueue
+from typing import Protocol
 
 import numpy as np
 from tests.coordinator.recording.recorded import JOB
@@ -16,7 +17,8 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.campaigns.programme import Extent
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.runs.pipeline import Pipeline
-from qdgrasp_coordinator.serving.record import Memory, Record, RecorderLink
+from qdgrasp_coordinator.serving.record import Memory, Record
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus, Sample
@@ -183,11 +185,20 @@ class Slow(Memory):
         return self.is_safe
 
 
+class Network(Protocol):
+    """Whatever opens sessions."""
+
+    def session(self) -> Bus:
+        """Another one."""
+
+
 class Job:
     """A coordinator of many runs on a network, whose rows stay in memory.
 
     Parameters
     ----------
+    network
+        Its first session is the coordinator's; None: one in memory.
     recorded
         Whether a recorder keeps them instead.
     kinds
@@ -198,6 +209,7 @@ class Job:
         self,
         plans: dict[str, Plan | None],
         *,
+        network: Network | None = None,
         seconds: float | None = None,
         recorded: bool = False,
         **kinds: type[Memory],
@@ -205,7 +217,7 @@ class Job:
         self._kinds = kinds
         self._recorded = recorded
         self.programme = Runs(plans)
-        self.network = LocalNetwork()
+        self.network = network or LocalNetwork()
         self.stop = Stop()
         self.records: dict[str, Memory] = {}
         self.open: list[int] = []

@@ -3,7 +3,7 @@
 import pytest
 from tests.coordinator.runs.plans import SHAPE
 
-from qdgrasp_coordinator.serving.record import RecorderLink
+from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, TookOver
 from qdgrasp_protocol.keys import Keys

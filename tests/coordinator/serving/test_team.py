@@ -56,7 +56,7 @@ class Office:
         self.turn.take(Sample(key, msgspec.json.encode(sign), "application/json"), now)
 
     def shown(self, now: float) -> list[WorkerFigures]:
-        return [worker for page in self.turn.team(now) for worker in page.workers]
+        return [worker for page in self.turn.crew.pages(now) for worker in page.workers]
 
     def states(self, now: float) -> list[str]:
         return [worker.state for worker in self.shown(now)]
@@ -138,7 +138,7 @@ def test_a_sign_without_progress_keeps_nobody_from_being_stuck(office: Office) -
 def test_each_worker_stands_on_one_page(office: Office, workers: int) -> None:
     for number in range(workers):
         office.joins(join(f"{number:032x}"), 0.0)
-    pages: list[TeamFigures] = office.turn.team(1.0)
+    pages: list[TeamFigures] = office.turn.crew.pages(1.0)
     assert [page.page for page in pages] == list(range(max(1, -(-workers // PAGE))))
     assert {page.pages for page in pages} == {len(pages)}
     assert [int(worker.wid, 16) for page in pages for worker in page.workers] == list(range(workers))
