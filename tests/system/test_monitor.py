@@ -14,16 +14,23 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
+from queue import SimpleQueue
 
 import pytest
 from tests.endpoints import own_endpoint
-from tests.system.commands import LONG, PATIENCE, Commands, rows_recorded, wait_for
+from tests.system.commands import LONG, PATIENCE, SMALL, Commands, kill, rows_recorded, wait_for
+from tests.system.test_faults import pids
 
-from qdgrasp_coordinator.counts.figures import Figures, JobFigures
+from qdgrasp_coordinator.counts.figures import Figures, JobFigures, from_json
+from qdgrasp_coordinator.counts.team import TeamFigures
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.monitor.jobs import JobView
 from qdgrasp_coordinator.monitor.terminal.frame import Shown, sheet
 from qdgrasp_coordinator.monitor.terminal.glyphs import ASCII
+from qdgrasp_coordinator.serving.board import INTERVAL
+from qdgrasp_protocol.bus import Sample
+from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 MONITOR = "qdgrasp_coordinator.cli.monitor"
@@ -42,7 +49,7 @@ def watch(qdgrasp: Commands, *arguments: object) -> tuple[int, str, str]:
 def running(qdgrasp: Commands) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A run of which some rows are on disk, at an endpoint."""
     endpoint = own_endpoint()
-    command = ("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run", "--job", "mugs")
+    command = ("run", *SMALL, "--evaluations", 640, "--batch-size", 10, "--workers", 2, "--out", "run", "--job", "mugs")
     process = qdgrasp.start(*command, "--listen", endpoint)
     wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20 or process.poll() is not None, "rows")
     assert process.poll() is None, process.communicate()
@@ -62,6 +69,7 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
         assert {*JobFigures.__struct_fields__} == {*job["figures"]}
         assert job["curves"][job["runs"][0]["run"]]["points"]
         assert any(event["kind"] == "worker" for event in job["events"])
+        assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "run").identity != ""
         code, out, _ = watch(qdgrasp, "--once", "--connect", endpoint)
         assert (code, "mugs: running" in out, max(map(len, out.splitlines())) <= 80) == (0, True, True)
         _, err = process.communicate(timeout=PATIENCE)
@@ -78,6 +86,26 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
     assert f"{info['evaluations']} of {info['budget']} evaluations" in told
     assert f"{info['successes']} successes" in told
     assert f"{info['cells']} cells" in told
+
+
+def test_a_killed_worker_is_shown_as_gone_within_two_seconds(qdgrasp: Commands) -> None:
+    """By the coordinator's own beat: it shows the job twice a second, and so less often where it is slow."""
+    keys, news = Keys("mugs"), SimpleQueue[str]()
+
+    def seen(sample: Sample) -> None:
+        page = from_json(sample.payload, TeamFigures)
+        news.put("gone" if any(one.state == "gone" for one in page.workers) else "team")
+
+    with running(qdgrasp) as (endpoint, process), ZenohBus.connect(endpoint, PATIENCE) as bus:
+        bus.watch(keys.worker_token(), lambda _, alive: news.put("there" if alive else "lost"))
+        bus.subscribe(keys.stat("job"), lambda _: news.put("job"))
+        bus.subscribe(keys.stat("team/*"), seen)
+        kill(pids(process, "worker")[0])
+        heard = list(iter(lambda: news.get(timeout=PATIENCE), "gone"))
+        process.terminate()
+        process.communicate(timeout=PATIENCE)
+    assert "lost" in heard
+    assert heard[heard.index("lost") :].count("job") <= 2.0 / INTERVAL
 
 
 def parsed(out: str) -> dict:

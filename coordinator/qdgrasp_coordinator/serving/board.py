@@ -63,7 +63,9 @@ class Board:
         self._identity = ""
         self._since = datetime.now(UTC).replace(microsecond=0)
         self._recorders: set[str] = set()
-        self._due = self._team_due = 0.0
+        self.due = 0.0
+        """When figures are to be published again."""
+        self._team_due = 0.0
         self._states: list[str] = []
         self._obstacle = ""
 
@@ -99,12 +101,12 @@ class Board:
 
     def publish_due(self, now: float) -> None:
         """Show how far everything is, if that was long enough ago."""
-        if now >= self._due:
+        if now >= self.due:
             self.publish(now)
 
     def publish(self, now: float) -> None:
         """Show how far everything is."""
-        self._due = now + INTERVAL
+        self.due = now + INTERVAL
         runs = [lane.figures(self._turn().dispatch.workers, now) for lane in self._lanes]
         self.display.keep(self._keys.stat("run/*"), {run.run for run in runs})
         for run in runs:

@@ -152,7 +152,7 @@ class CoordinatorService:
         self._board.publish_due(now)
 
     def _patience(self, now: float) -> float:
-        deadline = min(self._turn.next_deadline(), self._ending.deadline)
+        deadline = min(self._turn.next_deadline(), self._ending.deadline, self._board.due)
         return min(MAX_PATIENCE, max(0.0, deadline - now))
 
     def _take(self, event: Event, now: float) -> None:
