@@ -8,11 +8,10 @@ from msgspec import Struct
 
 from qdgrasp_assets.convex import TIME_LIMIT, Tell, collision_parts, quietly
 from qdgrasp_assets.mesh import Floats, Mesh
-from qdgrasp_assets.rays import within
 from qdgrasp_assets.room import Room
 from qdgrasp_assets.solid import Draft
-from qdgrasp_assets.solidity import Edges, bodies
-from qdgrasp_assets.surface import POINTS_PER_METRE, sample
+from qdgrasp_assets.solidity import Edges, body_volumes
+from qdgrasp_assets.surface import POINTS_PER_METRE
 from qdgrasp_assets.units import in_words
 from qdgrasp_protocol.errors import AssetError
 
@@ -20,12 +19,6 @@ WATER = 1000.0
 """[kg/m3]"""
 LIGHTEST, HEAVIEST = 20.0, 12_000.0
 """What is grasped is denser than foam, and less dense than lead [kg/m3]."""
-LOOKED_AT = 10_000
-"""At so many points of the surface is looked whether it is inside itself."""
-LIFT = 1e-5
-"""How far in front of the surface that is looked at [m]."""
-FEW = 1e-3
-"""A smaller share of them is rounding."""
 ROUNDING = 1e-9
 MANY = 50_000
 """With more triangles CoACD takes long."""
@@ -66,6 +59,8 @@ class Inspection(Struct, frozen=True, kw_only=True):
     """Whether every edge has two triangles (or another even number)."""
     bodies: int
     """Which do not touch; they are one rigid object."""
+    hollows: int = 0
+    """Closed spaces within bodies."""
     volume: float | None = None
     """[m3]; None, as what follows, of a mesh that cannot be used."""
     mass: float | None = None
@@ -104,7 +99,7 @@ class Inspection(Struct, frozen=True, kw_only=True):
         yield "object", self.name
         yield "size", f"{_size(self.extents)} m" + ("" if self.scale == 1 else f" ({in_words(self.scale)})")
         yield "surface", f"{self.triangles} triangles, {'closed' if self.closed else 'NOT closed'}"
-        yield "bodies", f"{self.bodies}"
+        yield "bodies", f"{self.bodies}" + (f", with {self.hollows} hollow within" if self.hollows else "")
         if self.volume is not None and self.centre_of_mass is not None:
             yield "volume", f"{self.volume * 1e6:.2f} cm3"
             yield "mass", self._mass
@@ -151,14 +146,16 @@ def inspect(
     tell
         Hears how far that is.
     """
-    mesh = draft.mesh
+    mesh, volumes = draft.mesh, body_volumes(draft.mesh)
+    hollows = 0 if draft.faults else int((volumes < 0).sum())
     found = Inspection(
         name=name,
         scale=1.0 if scale is None else scale,
         extents=_vector(mesh.extents),
         triangles=len(mesh.faces),
         closed=Edges(mesh).is_closed,
-        bodies=int(bodies(mesh).max()) + 1,
+        bodies=len(volumes) - hollows,
+        hollows=hollows,
         repairs=draft.repairs,
         notes=tuple(_of_file(draft)),
         faults=draft.faults,
@@ -205,21 +202,16 @@ def _of_solid(found: Inspection, mesh: Mesh) -> Iterator[str]:
             f"its {found.bodies} bodies are moved as one rigid object, as if they were glued: give things "
             "that move by themselves files of their own"
         )
-    inside = _inside_itself(mesh)
-    if inside > FEW:
+    if found.hollows:
+        yield "a hollow is aimed at, and no finger reaches it: leave it out unless it matters for the balance"
+    inside = Room(mesh).inside
+    if inside:
         yield (
             f"{100 * inside:.1f} % of its surface lies inside it, where it cuts itself or bodies overlap: "
-            "such room counts twice in volume and centre of mass; unite the bodies to be exact"
+            "such room counts twice in volume and centre of mass, and is aimed at; unite the bodies"
         )
     if found.triangles > MANY:
         yield f"{found.triangles} triangles: convex parts take long; 20 000 show a finger as much"
-
-
-def _inside_itself(mesh: Mesh) -> float:
-    """The share of the surface that is within the mesh, 0 to 1."""
-    points, drawn = sample(mesh, LOOKED_AT, seed=0)
-    normals = mesh.normals[drawn]
-    return float((within(mesh, points + LIFT * normals, normals) > 0).mean())
 
 
 def _of_mass(volume: float, density: float | None) -> Iterator[str]:
@@ -246,7 +238,7 @@ def _size(extents: Vector) -> str:
 
 
 def _numbers(values: Vector) -> str:
-    return " ".join(f"{value:.4f}" for value in values)
+    return " ".join(f"{round(value, 4) + 0.0:.4f}" for value in values)
 
 
 def _small(values: Vector) -> str:

@@ -141,7 +141,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     check_new(path)
     import trimesh
 
-    content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(
+    content: Any = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(
         file_type=path.suffix.lower().removeprefix(".")
     )
     try:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.mesh import Mesh
 from qdgrasp_assets.rays import within
-from qdgrasp_assets.solidity import Edges, Numbers, bodies, middle, place, width
+from qdgrasp_assets.solidity import Edges, Numbers, bodies, body_volumes, middle, place, width
 
 TOUCHING = 1e-5
 """Vertices that are nearer to each other than this share of the largest side are one."""
@@ -112,11 +112,9 @@ def _with_turned(mesh: Mesh, is_turned: NDArray[np.bool_], why: str) -> tuple[Me
 
 def inverted(mesh: Mesh) -> NDArray[np.bool_]:
     """(b,): which bodies of a mesh have a negative volume and are no hollow within another one."""
-    labels = bodies(mesh)
-    volumes = np.bincount(labels, weights=mesh.cone_volumes)
-    wrong: NDArray[np.bool_] = volumes < 0
-    for body in np.flatnonzero(wrong) if len(volumes) > 1 else ():
-        wrong[body] = not _is_within_another(mesh, labels, body)
+    wrong: NDArray[np.bool_] = body_volumes(mesh) < 0
+    for body in np.flatnonzero(wrong).tolist() if len(wrong) > 1 else ():
+        wrong[body] = not _is_within_another(mesh, bodies(mesh), body)
     return wrong
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.mesh import Floats, Mesh
 from qdgrasp_assets.objects.solids import heights
-from qdgrasp_assets.rays import ahead
+from qdgrasp_assets.rays import ahead, within
 from qdgrasp_assets.surface import sample
 
 POINTS = 10_000
@@ -24,6 +24,10 @@ OFF = 2e-3
 """A part's surface may be so far behind the mesh's [m]."""
 LIFT = 1e-6
 """How far above the surface rays begin, so that they do not meet it again [m]."""
+OUT = 1e-5
+"""So far in front of the surface it is looked whether that is inside [m]."""
+FEW = 1e-3
+"""A smaller share of the surface that seems to be inside is rounding."""
 MOST = 0.01
 """Of the surface; the eye of a mug's handle, filled, is 2 %."""
 
@@ -57,10 +61,23 @@ class Room:
         covered = np.any([is_within(part, self._points, OFF) for part in parts], axis=0)
         return Fit(float(filled.mean()) if len(filled) else 0.0, float(1.0 - covered.mean()))
 
+    @property
+    def inside(self) -> float:
+        """The share of the surface that is inside the mesh, where it cuts itself or bodies overlap."""
+        share = float(self._inside.mean())
+        return share if share > FEW else 0.0
+
+    @cached_property
+    def _inside(self) -> NDArray[np.bool_]:
+        """(n,): which points have not room in front of them, but the mesh."""
+        return within(self._mesh, self._points + OUT * self._normals, self._normals) > 0
+
     @cached_property
     def _free(self) -> Floats:
         """Points (n, 3) [m], `AHEAD` in front of the surface, where there is room."""
         clear = ahead(self._mesh, self._points + LIFT * self._normals, self._normals) > CLEAR
+        if self.inside:
+            clear &= ~self._inside
         free: Floats = self._points[clear] + AHEAD * self._normals[clear]
         return free
 

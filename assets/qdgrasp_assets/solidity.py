@@ -79,7 +79,8 @@ class Edges:
     @cached_property
     def loose(self) -> Numbers:
         """(k, 2): edges with one triangle only, in its direction."""
-        return self.directed[self.times[self.which] == 1]
+        loose: Numbers = self.directed[self.times[self.which] == 1]
+        return loose
 
     @cached_property
     def holes(self) -> tuple[Numbers, ...]:
@@ -109,6 +110,11 @@ def bodies(mesh: Mesh) -> Numbers:
     labels = _connected(np.concatenate([faces[:, :2], faces[:, 1:]]), len(mesh.vertices))
     _, numbers = np.unique(labels[faces[:, 0]], return_inverse=True)
     return numbers.reshape(-1)
+
+
+def body_volumes(mesh: Mesh) -> Floats:
+    """(b,) [m3]: the volume of each body; negative of one that is inside out, such as a hollow."""
+    return np.bincount(bodies(mesh), weights=mesh.cone_volumes).astype(np.float64)
 
 
 def _connected(pairs: Numbers, count: int) -> Numbers:

@@ -23,6 +23,8 @@ DEFAULT_METHOD = "aimed"
 MOST = 4096
 """Genomes in a generation, at most, and poses in a spec."""
 
+SAID_OF = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
+"""What is said of a key's value where it is wrong, besides its bounds."""
 GOALS = ("evaluations", "successes", "no_new_cell")
 """The keys of a spec that say when a run ends: what may change when it goes on."""
 
@@ -36,7 +38,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """A built-in object, one on the asset path, or a mesh file."""
     mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
     """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
-    scale: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+    scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
     """Metres to a unit of the object's mesh file, which its coordinates are multiplied by; None: 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
@@ -92,7 +94,8 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         try:
             msgspec.convert(value, fields[key].type)
         except msgspec.ValidationError:
-            raise ImpossibleValue(f"{where}: {key}", value, _expected(fields[key].type)) from None
+            expected = _expected(fields[key].type) + SAID_OF.get(key, "")
+            raise ImpossibleValue(f"{where}: {key}", value, expected) from None
     return msgspec.convert(values, RunSpec)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -17,16 +18,22 @@ from qdgrasp_assets.target import Target
 from qdgrasp_coordinator.analysis.hand import Hand, hand
 from qdgrasp_coordinator.analysis.layers import FINE, Image
 from qdgrasp_coordinator.analysis.picture import FAINT, INK
-from qdgrasp_coordinator.analysis.rays import Camera, Floats, Solid, camera
+from qdgrasp_coordinator.analysis.rays import FIELD, Camera, Floats, Solid, camera
 from qdgrasp_coordinator.analysis.views import CLAY, ELEVATION, HUES, paint_solid, rgb
 
 SIZE, DPI = (12.0, 6.4), 100  # inches
 PIXELS = 560
 """Width and height of each of the two views."""
 AZIMUTH = np.radians(35.0)
+BEYOND = 1.2
+"""The name of an axis stands so far out, in its lengths."""
 FRAME = 0.04
 """Length of the axes of a frame [m]."""
 AXES = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
+OUTLINE = withStroke(linewidth=3, foreground="white")
+"""Keeps a letter readable on any part."""
+CLOSE = 0.01
+"""What an object is drawn in is at least so wide [m]."""
 OPEN = "#d62728"
 STANDOFF = "#aa3377"
 
@@ -63,29 +70,28 @@ def draw_object(target: Target, path: Path) -> None:
     """Draw an object's surface and its convex parts to a PNG file, in its centre-of-mass frame."""
     parts = [(part, rgb(HUES[turn % len(HUES)])) for turn, part in enumerate(target.centred_parts)]
     panels = {"surface": [(target.centred_mesh, rgb(CLAY))], f"convex parts: {len(parts)}": parts}
-    words = f"centre of mass where the axes meet, source of the convex parts: {target.collision_source}"
-    figure, seen, views = _two_views(target.name, words, panels)
+    words = f"{_size(target.mesh)}, centre of mass where the axes meet, parts: {target.collision_source}"
+    figure, seen, views = _two_views(target.name, words, panels, CLOSE, np.eye(3) * _reach(target.mesh))
     for axes in views:
-        _frame(axes, seen, np.eye(3))
+        _frame(axes, seen, np.eye(3), _reach(target.mesh))
     figure.savefig(path, format="png")
 
 
 def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
     """Draw a mesh from two sides to a PNG file, around its middle; open edges are red, those behind too."""
-    low, high = mesh.bounds
-    size = " x ".join(f"{side:.4g}" for side in high - low)
-    loose, centred = mesh.vertices[Edges(mesh).loose], mesh.moved(-(low + high) / 2)
-    sides = {"one side": np.eye(3), "the other": Rotation.from_euler("z", 180, degrees=True).as_matrix()}
-    panels = {
-        title: [(Mesh(centred.vertices @ side.T, mesh.faces), rgb(CLAY))] for title, side in sides.items()
-    }
-    words = f"{size} m, axes of the mesh file around its middle, edges with one triangle: {len(loose)}"
-    figure, seen, views = _two_views(name, words, panels)
+    loose, middle = mesh.vertices[Edges(mesh).loose], np.mean(mesh.bounds, axis=0)
+    turn = Rotation.from_euler("z", 180, degrees=True).as_matrix()
+    sides = {"one side": np.eye(3), "the other side": turn}
+    centred = {title: Mesh((mesh.vertices - middle) @ side.T, mesh.faces) for title, side in sides.items()}
+    panels = {title: [(seen_so, rgb(CLAY))] for title, seen_so in centred.items()}
+    words = f"{_size(mesh)}, axes of the mesh file around its middle, edges with one triangle: {len(loose)}"
+    figure, seen, views = _two_views(
+        name, words, panels, CLOSE, np.concatenate(list(sides.values())) * _reach(mesh)
+    )
     for axes, side in zip(views, sides.values(), strict=True):
-        _frame(axes, seen, side)
-        ends = (loose - (low + high) / 2) @ side.T
-        lines = [[seen_at(seen, start), seen_at(seen, end)] for start, end in ends]
-        axes.add_collection(LineCollection(lines, colors=OPEN, linewidths=1.2))
+        _frame(axes, seen, side, _reach(mesh))
+        lines = [[seen_at(seen, end) for end in edge] for edge in (loose - middle) @ side.T]
+        axes.add_collection(LineCollection(lines, colors=OPEN, linewidths=1.6))
     figure.savefig(path, format="png")
 
 
@@ -108,11 +114,29 @@ def _links(drawn: Hand, upright: Rotation, joints: Sequence[float]) -> list[Piec
     ]
 
 
-def _two_views(name: str, words: str, panels: dict[str, list[Piece]]) -> tuple[Figure, Camera, list[Axes]]:
-    """A figure with a titled view of each panel's pieces, all from one camera."""
+def _size(mesh: Mesh) -> str:
+    return " x ".join(f"{side:.4g}" for side in mesh.extents) + " m"
+
+
+def _reach(mesh: Mesh) -> float:
+    """How long the axes of a frame within a mesh are drawn [m]."""
+    return 0.6 * float(mesh.extents.max())
+
+
+def _two_views(
+    name: str,
+    words: str,
+    panels: dict[str, list[Piece]],
+    field: float = FIELD,
+    tips: Point = np.zeros((1, 3)),  # noqa: B008  # nobody writes into it
+) -> tuple[Figure, Camera, list[Axes]]:
+    """A figure with a titled view of each panel's pieces, all from one camera, at least `field` [m] wide.
+
+    The points `tips` (n, 3) [m] are in the image, with some room around them.
+    """
     meshes = [mesh for pieces in panels.values() for mesh, _ in pieces]
-    points = np.concatenate([np.zeros((1, 3)), *(mesh.vertices for mesh in meshes)])
-    seen = camera(points, AZIMUTH, ELEVATION, FINE * PIXELS, FINE * PIXELS)
+    points = np.concatenate([np.zeros((1, 3)), BEYOND * tips, *(mesh.vertices for mesh in meshes)])
+    seen = camera(points, AZIMUTH, ELEVATION, FINE * PIXELS, FINE * PIXELS, field)
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
     figure.text(0.022, 0.945, name, size=20, weight="bold", color=INK, va="center")
     figure.text(0.022, 0.89, words, size=11, color=FAINT, va="center")
@@ -131,11 +155,12 @@ def _painted(pieces: list[Piece], seen: Camera) -> Floats:
     return image.finished()
 
 
-def _frame(axes: Axes, seen: Camera, directions: Point) -> None:
+def _frame(axes: Axes, seen: Camera, directions: Point, length: float = FRAME) -> None:
     """The axes of a frame at the origin; `directions` are the columns of a matrix (3, 3)."""
     for (name, colour), direction in zip(AXES.items(), directions.T, strict=True):
-        _arrow(axes, seen, np.zeros(3), FRAME * direction, colour)
-        axes.text(*seen_at(seen, 1.2 * FRAME * direction), name, color=colour, ha="center", va="center")
+        _arrow(axes, seen, np.zeros(3), length * direction, colour)
+        there = seen_at(seen, BEYOND * length * direction)
+        axes.text(*there, name, color=colour, ha="center", va="center", path_effects=[OUTLINE])
 
 
 def _arrow(axes: Axes, seen: Camera, start: Point, end: Point, colour: str) -> None:

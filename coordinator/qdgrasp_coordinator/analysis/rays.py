@@ -66,18 +66,28 @@ class Camera:
 MARGIN = 0.015
 """Left free on each side, as a share of the image."""
 FIELD = 0.26
-"""No image is narrower than this [m], so that small things look small."""
+"""No image is narrower than this unless it is asked for [m], so that small things look small."""
 
 
-def camera(points: NDArray[np.floating], azimuth: float, elevation: float, rows: int, columns: int) -> Camera:
-    """A camera at `azimuth` about z and `elevation` above it [rad], with all points (n, 3) in its image."""
+def camera(
+    points: NDArray[np.floating],
+    azimuth: float,
+    elevation: float,
+    rows: int,
+    columns: int,
+    field: float = FIELD,
+) -> Camera:
+    """A camera at `azimuth` about z and `elevation` above it [rad], with all points (n, 3) in its image.
+
+    The image is not narrower than `field` [m].
+    """
     (ca, sa), (ce, se) = ((np.cos(angle), np.sin(angle)) for angle in (azimuth, elevation))
     right, toward = np.array([-sa, ca, 0.0]), np.array([ca * ce, sa * ce, se])
     axes = np.array([right, np.cross(toward, right), toward], dtype=np.float32)
     flat = np.asarray(points, np.float32) @ axes[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)
     fitted = (high - low) / (np.array([columns, rows]) * (1 - 2 * MARGIN))
-    step = float(max(*fitted, FIELD / columns))
+    step = float(max(*fitted, field / columns))
     corner = (low + high) / 2 - np.array([columns, rows]) * step / 2
     return Camera(axes, corner.astype(np.float32), step, rows, columns)
 
