@@ -2,6 +2,7 @@
 
 from msgspec import Struct, structs
 
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.tally import Tally
 from qdgrasp_coordinator.counts.totals import Totals, totals
 from qdgrasp_protocol.spec import RunSpec
@@ -68,3 +69,5 @@ class RunEntries(Struct, frozen=True, kw_only=True):
     """Runs left out because their rows are still being counted: ask again in a while."""
     host: str = ""
     """The recorder's machine."""
+    curve: Curve | None = None
+    """How the one run grew that was asked for; None where all were, or where its rows are not all there."""

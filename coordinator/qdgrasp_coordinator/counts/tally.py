@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.counts.cells import cells, keys
+from qdgrasp_coordinator.counts.curve import Trail
 from qdgrasp_coordinator.counts.goals import Goals, Pursuit, first
 from qdgrasp_coordinator.counts.whole import taken
 from qdgrasp_protocol.errors import ImpossibleValue
@@ -231,11 +232,11 @@ class Tally:
         return self._from(Outcome.HELD)
 
 
-def tally(spec: RunSpec, blocks: Iterable[Rows]) -> Tally:
-    """The tally of a journal, in its order, in blocks of any length."""
+def tally(spec: RunSpec, blocks: Iterable[Rows], trail: Trail | None = None) -> Tally:
+    """The tally of a journal, in its order, in blocks of any length; and how it came to be."""
     total = begun(spec)
     for block in blocks:
-        go_on(total, spec, block)
+        go_on(total, spec, block, trail)
     return total
 
 
@@ -244,10 +245,12 @@ def begun(spec: RunSpec) -> Tally:
     return Tally(spec.evaluations, spec.overlaps, trials(spec.protocol), Goals.of(spec))
 
 
-def go_on(total: Tally, spec: RunSpec, block: Rows) -> None:
-    """Count the next rows of a journal."""
+def go_on(total: Tally, spec: RunSpec, block: Rows, trail: Trail | None = None) -> None:
+    """Count the next rows of a journal, and note where each generation ends."""
     for number in np.unique(block["generation"]):
         rows = block[block["generation"] == number]
         total.count(rows)
         if ((rows["index"] == spec.population - 1) & (rows["trial"] == 0)).any():
             total.end_generation()
+            if trail is not None:
+                trail.note(total)

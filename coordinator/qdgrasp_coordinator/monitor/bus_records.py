@@ -5,6 +5,7 @@ from socket import gethostname
 import msgspec
 
 from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.finds import from_message
 from qdgrasp_coordinator.monitor.records import Origin, Page, Place
@@ -35,21 +36,25 @@ class BusRecords:
         """All pages of the recorder's list, as far as it has counted."""
         first, uncounted, runs = 0, 0, list[RunEntry]()
         while True:
-            page = self._entries(job, first)
+            page = self._entries(job, f"from={first}")
             runs += page.runs
             uncounted += page.uncounted
             if page.next <= first:
                 return RunEntries(runs=runs, uncounted=uncounted, host=page.host)
             first = page.next
 
+    def curve(self, job: str, run: str) -> Curve:
+        """As far as the recorder has counted the run."""
+        return self._entries(job, f"run={run}").curve or Curve(run=run, points=[])
+
     def place(self, job: str, run: str) -> Place:
         """As the recorder tells; in a folder DIR for somebody to fill in while it has not counted the run."""
-        told = self.entries(job)
+        told = self._entries(job, f"run={run}")
         folders = {entry.run: entry.folder for entry in told.runs}
         return Place(folders.get(run) or "DIR", "" if told.host == gethostname() else told.host)
 
-    def _entries(self, job: str, first: int) -> RunEntries:
-        answer = self._bus.ask(Keys(job).entries, parameters=f"from={first}")
+    def _entries(self, job: str, asked: str) -> RunEntries:
+        answer = self._bus.ask(Keys(job).entries, parameters=asked)
         try:
             return msgspec.json.decode(answer, type=RunEntries)
         except msgspec.DecodeError as error:

@@ -2,6 +2,7 @@
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.legends import Legends
+from qdgrasp_coordinator.counts.curve import Curve, Trail
 from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.tally import tally
 from qdgrasp_coordinator.folders import journal_finds
@@ -36,6 +37,14 @@ class FolderRecords:
             raise UnknownName("job", job, self._collection.jobs)
         runs = self._collection.jobs[job].runs
         return RunEntries(runs=[_entry(name, folder) for name, folder in runs.items()])
+
+    def curve(self, job: str, run: str) -> Curve:
+        """Counted from the journal as it is now."""
+        folder, trail = self._collection.run(job, run), Trail()
+        with folder.journal() as journal:
+            if not journal.sources:
+                tally(folder.spec, journal.blocks(), trail)
+        return trail.curve(run)
 
     def place(self, job: str, run: str) -> Place:
         """Its folder, here."""

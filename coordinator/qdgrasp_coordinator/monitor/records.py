@@ -5,6 +5,7 @@ from shlex import quote
 from typing import NamedTuple, Protocol
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found
 from qdgrasp_protocol.printable import printable
@@ -81,6 +82,9 @@ class Records(Protocol):
 
     def entries(self, job: str) -> RunEntries:
         """The runs of a job, finished ones too; those that are not counted yet are left out for now."""
+
+    def curve(self, job: str, run: str) -> Curve:
+        """How the run grew from its beginning on, also where it is over; no points: nobody knows."""
 
     def place(self, job: str, run: str) -> Place:
         """Where the run lies."""

@@ -62,7 +62,17 @@ class Librarian:
         self._doors.close()
 
     def entries(self, query: Query) -> bytes:
-        """Which runs there are, from number `from` on."""
+        """Which runs there are, from number `from` on; or the run `run` alone, with its curve.
+
+        Raises
+        ------
+        Refused
+            That is no name.
+        """
+        if run := _parameters(query).get("run"):
+            if not NAME.fullmatch(run):
+                raise Refused(f"this recorder has no run '{run[:64]}'")
+            return to_json(self._register.one(run))
         return to_json(self._register.page(_number(query, "from")))
 
     def finds(self, query: Query) -> bytes:

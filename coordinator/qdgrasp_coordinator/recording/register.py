@@ -3,16 +3,18 @@
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
 from msgspec.structs import replace
 
 from qdgrasp_coordinator.campaigns.summary import Summary
+from qdgrasp_coordinator.counts.curve import Curve, Trail
 from qdgrasp_coordinator.counts.entry import PAGE, RunEntries, RunEntry
+from qdgrasp_coordinator.counts.figures import from_json, to_json
 from qdgrasp_coordinator.counts.tally import Tally, begun, go_on
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
@@ -39,6 +41,13 @@ class Count:
     """None once the run is over: then there is the entry alone, as a tally may hold many cells."""
     entry: RunEntry | None = None
     """As of these rows; None while others were left for the next answer."""
+    trail: Trail = field(default_factory=Trail)
+    """How it grew; once the run is over that is in `curve`."""
+    curve: bytes = b""
+
+    def grown(self, run: str) -> Curve:
+        """How the run of that name grew, as far as it is counted."""
+        return from_json(self.curve, Curve) if self.curve else self.trail.curve(run)
 
 
 class Register:
@@ -57,6 +66,15 @@ class Register:
         self._known: dict[Path, tuple[Stamp, RunEntry]] = {}
         self._left = 0
 
+    def one(self, run: str) -> RunEntries:
+        """The entry of a run, and how it grew, as far as it is counted; none where there is no such run."""
+        path, entries, curve = JobFolder(self._path).run_path(run), list[RunEntry | None](), None
+        with self._lock, suppress(FolderError):
+            self._left = ROWS
+            entries.append(self._entry(path))
+            curve = self._counts[path].grown(run) if path in self._counts else None
+        return replace(_answer(entries), curve=curve)
+
     def page(self, first: int) -> RunEntries:
         """The entries from the run with this number on, by name, as far as they are counted."""
         paths = JobFolder(self._path).run_paths if JobFolder.is_job(self._path) else []
@@ -66,12 +84,7 @@ class Register:
             for path in paths[first : first + PAGE]:
                 with suppress(FolderError):  # there may be no journal yet, or no good one
                     entries.append(self._entry(path))
-        return RunEntries(
-            runs=[entry for entry in entries if entry is not None],
-            next=first + PAGE if first + PAGE < len(paths) else 0,
-            uncounted=entries.count(None),
-            host=socket.gethostname(),
-        )
+        return replace(_answer(entries), next=first + PAGE if first + PAGE < len(paths) else 0)
 
     def _entry(self, path: Path) -> RunEntry | None:
         """That of a run; a journal that rests since it was counted is not opened again."""
@@ -102,13 +115,22 @@ class Register:
         if found is None:
             return
         for block in journal.kept(count.rows, stop) if count.rows < stop else ():
-            go_on(found, count.spec, block)
+            go_on(found, count.spec, block, count.trail)
         self._left -= stop - count.rows
         count.rows = stop
         whole = RunEntry.of(journal.run, count.spec, journal.scene, found) if stop == rows else None
         count.entry = whole or count.entry
         if found.finished is not None and whole is not None:
-            count.tally = None
+            count.tally, count.curve, count.trail = None, to_json(count.grown(journal.run)), Trail()
+
+
+def _answer(entries: Sequence[RunEntry | None]) -> RunEntries:
+    """These entries; None stands for one that is not counted yet."""
+    return RunEntries(
+        runs=[entry for entry in entries if entry is not None],
+        uncounted=entries.count(None),
+        host=socket.gethostname(),
+    )
 
 
 def stamp_of(path: Path) -> Stamp:

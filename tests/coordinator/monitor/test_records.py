@@ -87,6 +87,15 @@ def test_a_run_is_counted_as_its_journal_is(records: Records) -> None:
     assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(successes(ROWS)))
 
 
+def test_how_a_run_grew_is_told_generation_by_generation(records: Records) -> None:
+    (entry,), curve = records.entries("mug").runs, records.curve("mug", "run")
+    assert [point.evaluations for point in curve.points] == list(range(10, 301, 10))
+    assert [point.successes for point in curve.points] == [
+        len(successes(ROWS[:stop])) for stop in range(10, 301, 10)
+    ]
+    assert (curve.run, curve.points[-1].cells, curve.points[-1].robust) == ("run", entry.cells, entry.robust)
+
+
 def test_it_is_told_where_a_run_lies(records: Records, folder: RunFolder) -> None:
     assert records.place("mug", "run") == Place(str(folder.path.absolute()))
 

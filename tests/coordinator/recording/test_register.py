@@ -7,6 +7,7 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.recording import register
 from qdgrasp_coordinator.recording.register import Register, rests
@@ -18,6 +19,17 @@ def folder(tmp_path: Path, make_scene) -> RunFolder:
     made = record(tmp_path / "mug", make_scene(), random_rows(300))
     touch(made, 1e9)
     return made
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, make_scene) -> Path:
+    """The folder of a job with two runs: one that is over, and one that is not."""
+    job = JobFolder.create(tmp_path / "job", "mugs")
+    for name, budget in {"a": 300, "b": 1000}.items():
+        alone = record(tmp_path / name, make_scene(), random_rows(300), evaluations=budget)
+        alone.path.rename(job.run_path(name))
+        (job.run_path(name) / "job.json").unlink()
+    return job.path
 
 
 @pytest.fixture
@@ -72,3 +84,28 @@ def test_what_is_counted_in_part_is_counted_on(
     counted = Register(folder.path)
     assert [counted.page(0).uncounted for _ in range(5)] == [1, 1, 0, 0, 0]
     assert len(opened) == 3
+
+
+def test_one_run_is_told_of_without_a_look_at_the_others(campaign: Path, opened: list[Path]) -> None:
+    told = Register(campaign).one("b")
+    assert ([one.budget for one in told.runs], told.next) == ([1000], 0)
+    assert opened == [campaign / "runs" / "b"]
+
+
+def test_of_a_run_that_is_not_there_nothing_is_told(campaign: Path) -> None:
+    told = Register(campaign).one("c")
+    assert (told.runs, told.uncounted, told.curve) == ([], 0, None)
+
+
+@pytest.mark.parametrize("run", ["a", "b"])
+def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(
+    campaign: Path, run: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(register, "ROWS", 120)
+    counted = Register(campaign)
+    ends = []
+    for _ in range(4):
+        curve = counted.one(run).curve
+        assert curve is not None
+        ends.append([point.evaluations for point in curve.points])
+    assert ends == [list(range(10, stop + 1, 10)) for stop in (120, 240, 300, 300)]

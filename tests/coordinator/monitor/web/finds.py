@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found, layout
 from qdgrasp_coordinator.monitor.records import Origin, Page, Place
@@ -84,6 +85,9 @@ class HandMadeRecords:
     def entries(self, job: str) -> RunEntries:
         self.listed += 1
         return RunEntries(runs=[])
+
+    def curve(self, job: str, run: str) -> Curve:
+        return Curve(run=run, points=[])
 
     def place(self, job: str, run: str) -> Place:
         return Place("runs/mug")
