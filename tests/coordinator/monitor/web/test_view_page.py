@@ -1,0 +1,145 @@
+"""The page of runs in folders in a browser."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests import browser
+from tests.browser import PHONE
+from tests.coordinator.monitor.web.conftest import free_port, serving_site
+from tests.coordinator.monitor.web.test_page import CONTRAST, FOCUSED, NAMELESS
+from tests.coordinator.monitor.web.test_scene import expect
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
+
+from qdgrasp_coordinator.counts.tally import successes
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.monitor.collection import Collection
+from qdgrasp_coordinator.monitor.web.folder_site import FolderSite
+
+pytestmark = browser.needed
+ROWS = random_rows(60, reach=0.3)
+CELLS = f"{len(successes(ROWS))} cells of 1 cm"
+Look = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser.launched() as launched:
+        yield launched
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[RunFolder]:
+    home = tmp_path_factory.mktemp("runs")
+    return [record(home / name, made_scene(), ROWS) for name in ("bowl", "mug")]
+
+
+@pytest.fixture(scope="module")
+def place(runs: list[RunFolder]) -> Iterator[str]:
+    """Two runs."""
+    with serving_site(FolderSite(Collection([runs[0].path.parent])), free_port()) as address:
+        yield address
+
+
+@pytest.fixture
+def look(chromium: Any) -> Iterator[Look]:
+    """Opens a page; whatever it complains of fails the test."""
+    visits: list[browser.Visit] = []
+
+    def opened(address: str, **looks: Any) -> Any:
+        visits.append(browser.Visit(chromium, address, **looks))
+        expect(visits[-1].page.locator("#scene-words")).to_contain_text("cells of 1 cm")
+        return visits[-1].page
+
+    yield opened
+    for visit in visits:
+        visit.context.close()
+    assert [words for visit in visits for words in visit.complaints] == []
+
+
+def test_the_first_run_is_shown_and_another_may_be_chosen(look: Look, place: str) -> None:
+    page = look(place)
+    expect(page.locator("#name")).to_have_text("bowl")
+    expect(page.locator("#scene-words")).to_have_text(CELLS)
+    page.get_by_role("link", name="mug").click()
+    expect(page).to_have_title("mug \N{EN DASH} qdgrasp")
+    assert page.url.endswith("#job=mug&run=run")
+    page.reload()
+    expect(page.locator("#name")).to_have_text("mug")
+
+
+def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(
+    look: Look, place: str, runs: list[RunFolder]
+) -> None:
+    page = look(f"{place}/#job=mug&run=run")
+    page.locator("#scene").press("n")
+    number = page.locator("#grasp h4").inner_text().removeprefix("Grasp ")
+    assert page.locator("#grasp .replay code").all_inner_texts() == [
+        f"qdgrasp show {runs[1].path} --grasp {number}",
+        f"qdgrasp render {runs[1].path} --grasp {number} -o grasp.png",
+    ]
+
+
+def test_a_run_alone_needs_no_list(look: Look, runs: list[RunFolder]) -> None:
+    with serving_site(FolderSite(Collection([runs[0].path])), free_port()) as address:
+        page = look(address)
+        expect(page.get_by_role("navigation")).to_be_hidden()
+        expect(page.locator("#name")).to_have_text("bowl")
+
+
+def test_of_many_runs_some_are_found_by_parts_of_their_names(
+    look: Look, tmp_path: Path, runs: list[RunFolder]
+) -> None:
+    names = [f"panda-{what}-s{seed}" for what in ("bowl", "mug") for seed in range(7)]
+    for name in names:
+        RunFolder.create(tmp_path / name, runs[0].spec, runs[0].bundle())
+    paths = [runs[0].path, *(tmp_path / name for name in names)]
+    with serving_site(FolderSite(Collection(paths)), free_port()) as address:
+        page = look(address)
+        page.get_by_label("Find a run").fill("mug s3")
+        expect(page.locator("#shelf a:visible")).to_have_text(["panda-mug-s3"])
+
+
+def test_it_says_when_its_server_has_ended(chromium: Any, runs: list[RunFolder]) -> None:
+    with serving_site(FolderSite(Collection([runs[0].path])), free_port()) as address:
+        visit = browser.Visit(chromium, address)
+        expect(visit.page.locator("#scene-words")).to_have_text(CELLS)
+    expect(visit.page.locator("#scene-words")).to_contain_text("Nobody answers: the page's server has ended")
+    expect(visit.page.locator("#link")).to_contain_text("not connected since")
+    visit.context.close()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("phone", [False, True], ids=["desktop", "phone"])
+def test_words_stand_out_and_nothing_is_wider_than_the_window(
+    look: Look, place: str, theme: str, phone: bool
+) -> None:
+    page = look(place, color_scheme=theme, phone=phone)
+    page.locator("#scene").press("n")
+    page.locator("#grasp h4").wait_for()
+    page.get_by_label("x lowest").press("ArrowRight")
+    contrasts = [(words, ratio) for words, ratio in page.evaluate(CONTRAST) if words != "Show all"]
+    assert len(contrasts) > 30
+    assert [(words, round(ratio, 2)) for words, ratio in contrasts if ratio < 4.5] == []
+    if phone:
+        assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
+
+
+def test_whatever_can_be_used_has_a_name_and_is_reached_by_keys(look: Look, place: str) -> None:
+    page = look(place)
+    assert page.evaluate(NAMELESS) == []
+    reached = set()
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        seen, outline = page.evaluate(FOCUSED)
+        reached.add(seen)
+        assert seen in (None, "body") or outline != "none", f"where the focus is cannot be seen: {seen}"
+    assert {"skip", "theme", "shelf", "scene", "scene-key", "scene-filters"} <= reached
+
+
+def test_all_of_it_fits_a_desk_s_window(look: Look, place: str) -> None:
+    page = look(place)
+    low = page.locator("#scene-filters").evaluate("(node) => node.getBoundingClientRect().bottom")
+    assert low <= browser.DESKTOP["height"]
