@@ -9,7 +9,7 @@ import pytest
 from tests import browser
 from tests.browser import PATIENCE, PHONE, figure, number
 from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import FakeFeed
+from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed
 
 pytestmark = browser.needed
 Page = Any
@@ -199,6 +199,43 @@ def test_it_says_when_the_monitor_does_not_reach_its_router(look: Look) -> None:
         expect(page.locator("#link")).to_have_text("live")
         feed.jobs.linked(False, time.time())
         expect(page.locator("#link")).to_have_text("the monitor does not reach its router")
+
+
+def test_of_workers_of_a_silent_job_it_says_since_when_nobody_tells(look: Look) -> None:
+    feed = FakeFeed()
+    feed.step(time.time() - 40)
+    feed.jobs.linked(False, time.time())
+    with serving(feed, free_port()) as place:
+        page = look(f"{place}/#job=mug")
+        expect(page.locator("#workers-words")).to_have_text(
+            re.compile(r"^nobody tells of them for 0:0\d:\d\d$")
+        )
+        states = page.locator("#workers td[data-name=state]").all_inner_texts()
+        assert states == ["unknown"] * 4
+        assert not {"now"} & set(page.locator("#workers td[data-name=seen]").all_inner_texts())
+        expect(figure(page, "Workers")).to_have_text("\N{EN DASH}")
+
+
+def test_a_job_that_nobody_carries_out_has_no_workers(look: Look) -> None:
+    feed = FakeFeed()
+    feed.step(time.time() - 40)
+    with serving(feed, free_port()) as place:
+        page = look(f"{place}/#job=mug")
+        expect(page.locator("#workers-words")).to_have_text("nobody works: the job is without a coordinator")
+        expect(page.locator("#workers tbody tr")).to_have_count(0)
+        expect(figure(page, "Workers")).to_have_text("0")
+
+
+def test_of_a_router_that_went_with_its_jobs_nothing_is_said(look: Look) -> None:
+    feed = FakeFeed()
+    feed.steps = BUDGET // STEP
+    feed.step(time.time() - 40)
+    feed.jobs.linked(False, time.time())
+    with serving(feed, free_port()) as place:
+        page = look(f"{place}/#job=mug")
+        expect(page.locator("#state")).to_contain_text("ended")
+        expect(page.locator("#link")).to_have_text("all is over")
+        expect(page.locator("#workers-words")).to_have_text("nobody works: the job is ended")
 
 
 def test_workers_are_sorted_by_the_column_that_was_chosen(look: Look, place: str) -> None:
