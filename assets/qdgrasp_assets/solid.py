@@ -4,6 +4,8 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from qdgrasp_assets.mesh import Mesh
 from qdgrasp_assets.mesh_file import read_mesh_file
 from qdgrasp_assets.repair import repaired
@@ -26,6 +28,12 @@ class Draft:
     """What was done to it, in words."""
     faults: tuple[str, ...]
     """What is wrong with it all the same; empty where it can be used."""
+
+    @classmethod
+    def unread(cls, why: str) -> "Draft":
+        """That of a file that cannot be read."""
+        nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+        return cls(nothing, 0, (), (why.rstrip("."),))
 
 
 def read_draft(path: Path, scale: float | None = None, *, fill_holes: bool = False) -> Draft:

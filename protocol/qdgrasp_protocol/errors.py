@@ -7,6 +7,7 @@
         * ImpossibleValue        a value outside what a field allows
         * AssetError             a file, mesh, URDF or gripper that cannot be used
             * WrongScan          what was fetched is not what it must be
+            * UnusableMeshes     mesh files of which no objects can be made
         * FolderError            a run folder that cannot be used
             * DiskFull               there is no room to write in it
         * ReplayError            a journal that its own spec does not replay to
@@ -27,7 +28,7 @@
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
 
@@ -93,6 +94,25 @@ class WrongScan(AssetError):
 
     def __init__(self, name: str, reason: object) -> None:
         super().__init__(f"What was fetched for '{name}' was thrown away: {reason}")
+
+
+class UnusableMeshes(AssetError):
+    """Mesh files of which no objects can be made; nothing was begun with the others.
+
+    Parameters
+    ----------
+    total
+        How many mesh files there are.
+    faults
+        What is wrong, by file.
+    """
+
+    def __init__(self, total: int, faults: Mapping[str, str]) -> None:
+        told = "".join(f"\n  {name}: {why}" for name, why in faults.items())
+        super().__init__(
+            f"{len(faults)} of {total} meshes cannot be used as they are, and nothing was begun; `qdgrasp "
+            f"object check FILE` says more of each:{told}"
+        )
 
 
 class FolderError(InputError):

@@ -11,6 +11,10 @@
     method = ["contact_rand", "contact_me_scs"]
     seed = [0, 1]
 
+    [objects."parts/lever.stl"]        # what is known of a mesh file, in every run of it
+    mass = 0.3
+    scale = 0.001
+
 A run's name says what it is and does not depend on the other runs, so that a campaign can grow.
 """
 
@@ -48,7 +52,12 @@ USUAL = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 """What a run of a campaign has unless the file says otherwise. A second generation in flight keeps the
 workers of a single run busy; here other runs do, and the search hears of all that it asked."""
 LONGEST = 64
-KEYS = frozenset({"prefer_scans", "defaults", "cross"})
+KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
+OF_OBJECT = frozenset({"mass", "scale", "friction"})
+"""What may be said of an object: no part of the names of its runs, and before what the defaults say."""
+
+Objects = Mapping[str, Mapping[str, Any]]
+"""What is known of objects, by name."""
 
 
 @dataclass(frozen=True)
@@ -118,12 +127,14 @@ def campaign(source: dict[str, Any], where: str, *, here: bool = True) -> Campai
     assets = Assets(prefer_scans=source.get("prefer_scans", False))
     defaults = assets.taken(USUAL | source.get("defaults", {}))
     crosses = [assets.taken(cross) for cross in source["cross"]]
+    objects = {located(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
-    for values in _crossed(defaults, crosses, where):
-        _add(runs, values, where)
+    for values, known in _crossed(defaults, crosses, objects, where):
+        _add(runs, values, known, where)
+    _check_known(objects, {spec.object for spec in runs.values()}, where)
     if here:
         _check_assets(runs.values())
-    resolved = {"defaults": defaults, "cross": crosses}
+    resolved = {"defaults": defaults, "cross": crosses} | ({"objects": objects} if objects else {})
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
 
 
@@ -187,6 +198,16 @@ def _check_assets(specs: Collection[RunSpec]) -> None:
             raise JawNeeded(ANTIPODAL, Path(spec.gripper).stem)
 
 
+def _check_known(objects: Objects, used: Collection[str], where: str) -> None:
+    """Check that what is known of objects is of objects that a run has."""
+    for name in objects:
+        if name not in used:
+            raise InputError(
+                f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
+                "[[cross]], in the same words."
+            )
+
+
 def _check(source: dict[str, Any], where: str) -> None:
     """Check what is not a run's."""
     for key in source:
@@ -199,24 +220,35 @@ def _check(source: dict[str, Any], where: str) -> None:
         )
     if not isinstance(source.get("defaults", {}), dict):
         raise ImpossibleValue(f"{where}: defaults", source["defaults"], "a table of keys of a run's spec")
+    objects = source.get("objects", {})
+    if not isinstance(objects, dict) or not all(isinstance(known, dict) for known in objects.values()):
+        raise ImpossibleValue(f"{where}: objects", objects, "a table for each mesh file")
+    for name, known in objects.items():
+        if unknown := [key for key in known if key not in OF_OBJECT]:
+            raise UnknownKey(f"{where}: objects.'{name}'", unknown[0], OF_OBJECT)
     if not isinstance(source.get("prefer_scans", False), bool):
         raise ImpossibleValue(f"{where}: prefer_scans", source["prefer_scans"], "true or false")
 
 
-def _crossed(defaults: dict[str, Any], crosses: list[dict[str, Any]], where: str) -> Iterator[dict[str, Any]]:
-    """The values of each run; of those named first in `NAMED` all runs come together."""
+def _crossed(
+    defaults: dict[str, Any], crosses: list[dict[str, Any]], objects: Objects, where: str
+) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """The values of each run, and what is known of its object; those named first in `NAMED` change last."""
     for cross in crosses:
         whole = defaults | cross
         if empty := [key for key, value in whole.items() if value == []]:
             raise ImpossibleValue(f"{where}: {empty[0]}", [], "one value, or a list of at least one")
         order = sorted(whole, key=lambda key: NAMED.index(key) if key in NAMED else len(NAMED))
         axes = [whole[key] if isinstance(whole[key], list) else [whole[key]] for key in order]
-        for values in itertools.product(*axes):
-            yield dict(zip(order, values, strict=True))
+        for each in itertools.product(*axes):
+            values = dict(zip(order, each, strict=True))
+            told = objects.get(values.get("object", ""), {})
+            known = {key: value for key, value in told.items() if key not in cross}
+            yield {key: value for key, value in values.items() if key not in known}, known
 
 
-def _add(runs: dict[str, RunSpec], values: dict[str, Any], where: str) -> None:
-    spec = full_spec(values, where)
+def _add(runs: dict[str, RunSpec], values: dict[str, Any], known: dict[str, Any], where: str) -> None:
+    spec = full_spec(values | known, where)
     name = run_name(spec, values)
     if runs.setdefault(name, spec) != spec:
         raise InputError(

@@ -17,7 +17,7 @@ from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
 from qdgrasp_protocol.spec import GOALS, RunSpec, differences
 
-SCENE = ("gripper", "object", "mass", "friction", "protocol", "surface_seed")
+SCENE = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
 """The keys of a spec that its scene depends on."""
 
 
