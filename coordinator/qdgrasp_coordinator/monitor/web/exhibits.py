@@ -12,6 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from qdgrasp_coordinator.analysis.hand import Hand, hand
+from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.monitor.records import Origin, Page, Records
 from qdgrasp_coordinator.monitor.web import geometry
@@ -23,12 +24,14 @@ RUNS = 16
 """So many runs are kept ready; the one that was not looked at for longest gives way."""
 JOBS = 16
 """Of so many jobs the runs are kept."""
+CURVES = 64
+"""Of so many runs it is kept how they grew."""
 SCENES = 2
 """So many scenes of a run: there is another one where its journal is another."""
 FRESH = 0.25
 """Finds that were read so recently are not asked for again [s]."""
 LISTED = 5.0
-"""Nor is a list of runs [s]."""
+"""Nor is a list of runs, or a curve [s]."""
 PATIENCE = 1.0
 """So long are finds read before an answer is given with those that are there [s]."""
 
@@ -153,12 +156,20 @@ class Exhibits:
         def exhibit(name: tuple[str, str]) -> Exhibit:
             return Exhibit(records, *name, clock)
 
+        def grown(name: tuple[str, str]) -> Kept[Curve]:
+            return Kept(lambda _: records.curve(*name), lambda _: LISTED, clock)
+
         self._lists = Shelf(listed, JOBS)
+        self._curves = Shelf(grown, CURVES)
         self._exhibits = Shelf(exhibit, RUNS)
 
     def runs(self, job: str) -> bytes:
         """JSON of `RunEntries`."""
         return msgspec.json.encode(self._lists.of(job).get())
+
+    def curve(self, job: str, run: str) -> bytes:
+        """JSON of `Curve`."""
+        return msgspec.json.encode(self._curves.of((job, run)).get())
 
     def scene(self, job: str, run: str) -> bytes:
         """JSON of `geometry.Stage`."""

@@ -18,6 +18,15 @@ class Library(Protocol):
             There is no such job, or nobody answers.
         """
 
+    def curve(self, job: str, run: str) -> bytes:
+        """JSON: how a run grew, also one that is over (`Curve`).
+
+        Raises
+        ------
+        QdgraspError
+            There is no such run, or nobody answers.
+        """
+
     def scene(self, job: str, run: str) -> bytes:
         """JSON: the object, the hand's links and the bounds of a run.
 

@@ -30,10 +30,15 @@ class RunPages:
         """What is answered where."""
         run = "/api/jobs/{job}/runs/{run}"
         return [
+            Route(f"{run}/curve", self.curve),
             Route(f"{run}/scene", self.scene),
             Route(f"{run}/cells", self.cells),
             Route(f"{run}/grasps/{{number}}", self.grasp),
         ]
+
+    async def curve(self, request: Request) -> Response:
+        """How a run grew that was over before anybody watched."""
+        return json_of(await self.asked(lambda: self._library.curve(*_run(request))))
 
     async def scene(self, request: Request) -> Response:
         """What stands in the view in 3D."""

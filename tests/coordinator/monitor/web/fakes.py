@@ -177,6 +177,9 @@ class FakeLibrary:
             raise NoReply("nobody answers")
         return b'{"runs":[],"next":0,"uncounted":0}'
 
+    def curve(self, job: str, run: str) -> bytes:
+        return b'{"run":"","points":[]}'
+
     def scene(self, job: str, run: str) -> bytes:
         if run != "mug" and not run.startswith("panda"):
             raise UnknownName("run", run, ["mug"])

@@ -1,5 +1,6 @@
 // Curves: what was found over evaluations, and how fast. Asked for now and then; the newest point is in the state.
 
+import { Growth } from "./growth.js";
 import { Plot } from "./plot.js";
 import { count, rate } from "./words.js";
 
@@ -19,6 +20,7 @@ export class Curves {
     this.cells = plot("cells");
     this.successes = plot("successes");
     this.speed = plot("speed", { timed: true, up: speed, whole: false });
+    this.growth = new Growth(api);
     this.job = "";
     this.asked = -Infinity;
     this.curves = null;
@@ -48,10 +50,16 @@ export class Curves {
 
   #found(job, run, { curves }) {
     const runs = run ? [run] : job.runs.slice(-MOST_LINES);
-    const courses = runs.map((one) => course(curves[one.run]?.points ?? [], one));
+    const courses = runs.map((one) => course(this.#points(job, one, curves), one));
     const [done, cells, successes, robust] = run ? courses[0] : [];
     this.cells.show(...(run ? [CELLS, [done, cells]] : beside("Cells", runs, courses, 1)));
     this.successes.show(...(run ? [SUCCESSES, [done, successes, robust]] : beside("Successes", runs, courses, 2)));
+  }
+
+  /** Those that were heard; or of a run that was not, and is over, those that were recorded. */
+  #points(job, { run, finished }, curves) {
+    const heard = curves[run]?.points ?? [];
+    return finished && heard.length < 2 ? this.growth.of(job.job, run) : heard;
   }
 
   #speed(job, run, { history, histories }, now) {
