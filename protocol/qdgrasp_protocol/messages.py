@@ -221,6 +221,7 @@ class Finds(Message, frozen=True, kw_only=True):
     """The answer to a query on `rec/finds`: successes of a run in journal order."""
 
     run: Name
+    """Its name in its job."""
     scene: Digest
     """sha256 of the run's scene bundle."""
     began: float
@@ -230,6 +231,8 @@ class Finds(Message, frozen=True, kw_only=True):
     rows: Count
     """How many rows the journal has; with `next` there, these are all the successes so far."""
     n: Annotated[int, Meta(ge=0, le=4096)]
+    """How many finds these are."""
     joints: Width
+    """Finger joints of the hand."""
     columns: dict[str, bytes]
-    """All of `finds.COLUMNS`."""
+    """Each of `finds.COLUMNS` by its name, little-endian."""

@@ -10,15 +10,17 @@ from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.events import Event, Events
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, JobMeta
+from qdgrasp_coordinator.counts.finds import COLUMNS
 from qdgrasp_coordinator.counts.meanings import meanings
 from qdgrasp_coordinator.counts.team import TeamFigures, WorkerFigures
 from qdgrasp_coordinator.counts.totals import Totals
+from qdgrasp_protocol.messages import Finds
 from qdgrasp_protocol.sign import Sign
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "bus.md").read_text()
 SHOWN = (
     *(Totals, JobFigures, RunEntry, Figures, TeamFigures, WorkerFigures, JobMeta),
-    *(Event, Events, Curve, RunEntries, Sign),
+    *(Event, Events, Curve, RunEntries, Finds, Sign),
 )
 
 
@@ -37,3 +39,8 @@ def test_the_page_says_of_each_figure_what_the_source_does(kind: type[Struct]) -
 
 def test_the_page_has_no_other_figures() -> None:
     assert set(re.findall(r"^### `(\w+)`$", PAGE, re.MULTILINE)) == {kind.__name__ for kind in SHOWN}
+
+
+def test_the_page_names_every_column_of_finds() -> None:
+    described = re.findall(r"^- `(\w+)`, (\S+) x (\w+): (.*)$", PAGE, re.MULTILINE)
+    assert described == [(one.name, one.item, one.width, one.meaning) for one in COLUMNS]
