@@ -93,7 +93,7 @@ class Keys:
 
     @property
     def entries(self) -> str:
-        """Monitors to recorder, query: which runs are in the folder, finished ones too, or one of them; JSON."""
+        """Monitors to recorder, query: the runs in the folder, finished ones too, or one of them; JSON."""
         return f"{self.root}/rec/runs"
 
     @property
