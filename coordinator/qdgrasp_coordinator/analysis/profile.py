@@ -159,6 +159,8 @@ class Profile(Struct, frozen=True, kw_only=True):
     """sha256 of the scene bundle."""
     com_in_mesh: tuple[float, ...]
     """The centre of mass in the mesh file's frame [m]: position in the mesh = position + this."""
+    scale: float
+    """Metres to a unit of the mesh file."""
     run: str
     """The run that found it, by the name of its folder or in its job."""
 
@@ -226,7 +228,7 @@ def numbered(folder: RunFolder, journal: Journal, number: int) -> np.void:
 def _spec(spec: RunSpec) -> dict[str, object]:
     """What was asked for."""
     names = ("gripper", "object", "protocol", "method", "seed")
-    return {name: getattr(spec, name) for name in names}
+    return {name: getattr(spec, name) for name in names} | {"scale": spec.scale or 1.0}
 
 
 def _found(row: np.void, scene: Scene, spec: RunSpec) -> dict[str, object]:

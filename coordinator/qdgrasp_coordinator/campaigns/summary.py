@@ -11,7 +11,7 @@ from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.trials import trials
 
 FIRST = (
-    *("gripper", "object", "method", "protocol", "seed", "overlaps_mode"),
+    *("gripper", "object", "scale", "method", "protocol", "seed", "overlaps_mode"),
     *("evaluations", "budget", "rows", "trials"),
 )
 """What a table says first."""
@@ -22,6 +22,8 @@ class Summary(Totals, frozen=True, kw_only=True):
 
     gripper: str
     object: str
+    scale: float = 1.0
+    """Metres to a unit of the object's mesh file."""
     method: str
     protocol: str
     seed: int
@@ -91,6 +93,7 @@ def summary(folder: RunFolder) -> Summary:
             **structs.asdict(totals(found)),
             gripper=spec.gripper,
             object=spec.object,
+            scale=spec.scale or 1.0,
             method=spec.method,
             protocol=spec.protocol,
             seed=spec.seed,

@@ -10,6 +10,7 @@ from typing import Annotated
 import msgspec
 import typer
 
+from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.bench.course import Course, Measured
 from qdgrasp_coordinator.bench.figures import NodeFigures
 from qdgrasp_coordinator.bench.node import node
@@ -31,10 +32,12 @@ def bench(
     objects: Annotated[
         list[str] | None,
         typer.Option(
-            "--object", help="Object: a built-in name or a mesh file [m]; may be repeated. Default: two."
+            "--object", help="Object: a built-in name or a mesh file; may be repeated. Default: two."
         ),
     ] = None,
     mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
     protocol: options.ProtocolOption = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Worker processes; default: one per core.")
@@ -51,7 +54,13 @@ def bench(
 
     Example: qdgrasp bench --gripper allegro --object mug --object banana --workers 4
     """
-    given = {"gripper": gripper, "mass": mass, "protocol": protocol, "method": METHOD}
+    given = {
+        "gripper": gripper,
+        "mass": mass,
+        "scale": scale_of(units, scale),
+        "protocol": protocol,
+        "method": METHOD,
+    }
     values = {name: value for name, value in given.items() if value is not None}
     specs = [full_spec(values | {"object": name}, "bench") for name in objects or OBJECTS]
     count, here = options.cores() if workers is None else workers, node()

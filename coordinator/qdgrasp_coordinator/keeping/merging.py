@@ -79,7 +79,7 @@ def _check_same_scene(one: Part, other: Part) -> None:
     if one.source.scene == other.source.scene:
         return
     specs = one.source.asked, other.source.asked
-    keys = ("gripper", "object", "mass", "friction", "protocol", "surface_seed")
+    keys = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
     differ = [f"{key} ({getattr(specs[0], key)} and {getattr(specs[1], key)})" for key in keys
               if getattr(specs[0], key) != getattr(specs[1], key)]  # fmt: skip
     why = ", ".join(differ) or "the scene's files or the version of qdgrasp that read them"
