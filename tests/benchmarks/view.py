@@ -1,7 +1,8 @@
 """How long a page with many cells takes to open, and how fluidly it turns, without a graphics card.
 
 `python -m tests.benchmarks.view` serves the monitor's page with an archive made by hand, opens it in Chromium
-drawing on the processor, and prints a line of JSON. These are no CPU times: measure while all is quiet.
+drawing on the processor, and prints a line of JSON: how many pictures a second there are, and how finely they
+are drawn, as the page chooses. These are no CPU times: measure while all is quiet.
 """
 
 import argparse
@@ -57,8 +58,8 @@ def measured(page: Any, cells: int, address: str) -> dict[str, object]:
     return {"opened_seconds": round(opened, 2), "cut_open": turned(page), "whole": turned(page, "Cut open")}
 
 
-def turned(page: Any, button: str | None = None) -> dict[str, float]:
-    """How it turns, after a button was pressed."""
+def turned(page: Any, button: str | None = None) -> dict[str, float | str]:
+    """How it turns, after a button was pressed, and how finely it is drawn then."""
     if button:
         page.get_by_role("button", name="Leave out the cells").click()
     page.evaluate(TURN, WARM)
@@ -66,6 +67,7 @@ def turned(page: Any, button: str | None = None) -> dict[str, float]:
     return {
         "frames_per_second": round(1000 / float(times.mean()), 1),
         "p95_frame_ms": round(float(np.quantile(times, 0.95)), 1),
+        "drawn_with": page.locator("#scene").get_attribute("data-pace"),
     }
 
 

@@ -1,15 +1,19 @@
 """Every command stops when it is asked to, whatever it is doing."""
 
 import os
+import re
 import signal
 import subprocess
 import threading
 import time
 from collections.abc import Callable
+from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
 import trimesh
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
 from tests.endpoints import own_endpoint
 from tests.system.commands import (
     PATIENCE,
@@ -109,6 +113,21 @@ def coordinating(qdgrasp: Commands) -> subprocess.Popen[str]:
     return seeking("mugs.toml", module=COORDINATOR)(qdgrasp)
 
 
+def viewing(qdgrasp: Commands) -> subprocess.Popen[str]:
+    """A page of a finished run, that somebody looks at."""
+    record(qdgrasp.home / "mug", made_scene(), random_rows(20))
+    process = qdgrasp.start("view", "mug", "--no-open")
+    assert process.stdout is not None
+    address = re.search(r"http://127\.0\.0\.1:(\d+)/", process.stdout.readline())
+    assert address
+    connection = HTTPConnection("127.0.0.1", int(address[1]), timeout=PATIENCE)
+    process.page = connection  # type: ignore[attr-defined]  # it stays open, as a browser's does
+    connection.request("GET", "/api/jobs/mug/runs/run/scene")
+    answer = connection.getresponse()
+    assert (answer.status, answer.read()[:1]) == (200, b"{")
+    return process
+
+
 def benching(qdgrasp: Commands) -> subprocess.Popen[str]:
     process = qdgrasp.start("bench", "--workers", 1, "--seconds", 3600)
     wait_for(lambda: bool(processes_of(process.pid)), "a worker")
@@ -141,8 +160,13 @@ BEGINNINGS: dict[str, Beginning] = {
     "a coordinator without a router": coordinating,
     "a worker whose simulator hangs": with_a_hanging_simulator,
     "a measurement of this node": benching,
+    "a page of a finished run": viewing,
 }
-QUICK = {"a run whose router is away": signal.SIGINT, "a campaign's scene that is built": signal.SIGTERM}
+QUICK = {
+    "a run whose router is away": signal.SIGINT,
+    "a campaign's scene that is built": signal.SIGTERM,
+    "a page of a finished run": signal.SIGINT,
+}
 
 
 def stopped(qdgrasp: Commands, begin: Beginning, number: int) -> float:
