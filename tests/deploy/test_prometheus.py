@@ -14,7 +14,10 @@ import yaml
 from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
 from tests.coordinator.monitor.shown import run, values, views
+from tests.deploy.alerting import TEMPLATE, Alert, data, firing, seconds
 from tests.deploy.commands import DEPLOY
+from tests.deploy.promql import Data, vector
+from tests.deploy.promql_reader import read
 
 from qdgrasp_coordinator.monitor.metrics import STATES, exposition
 from qdgrasp_protocol.outcome import Outcome
@@ -22,9 +25,10 @@ from qdgrasp_protocol.outcome import Outcome
 PROMETHEUS = DEPLOY / "prometheus"
 BOARD = json.loads((DEPLOY / "grafana" / "qdgrasp.json").read_text())
 RULES = yaml.safe_load((PROMETHEUS / "alerts.yml").read_text())["groups"][0]["rules"]
+ALERT_TESTS = yaml.safe_load((PROMETHEUS / "alerts_test.yml").read_text())["tests"]
 PROMTOOL = shutil.which("promtool")
 needs_promtool = pytest.mark.skipif(
-    PROMTOOL is None, reason="promtool (Debian's package prometheus) is not here"
+    PROMTOOL is None, reason="promtool (Debian's package prometheus) is not here; others check the same"
 )
 ASKED = re.compile(r"(qdgrasp_[a-z_]+)(?:\{(.*?)\})?")
 LABEL = re.compile(r"(\w+)(=~|=)\"(.*?)\"")
@@ -120,16 +124,15 @@ def test_every_alert_waits_has_a_severity_and_says_what_is_the_matter() -> None:
 
 
 def test_every_alert_is_tested() -> None:
-    tests = yaml.safe_load((PROMETHEUS / "alerts_test.yml").read_text())["tests"]
     fired = {
         check["alertname"]
-        for test in tests
+        for test in ALERT_TESTS
         for check in test.get("alert_rule_test", [])
         if check.get("exp_alerts")
     }
     counted = {
         re.findall(r'alertname="(\w+)"', sample["labels"])[0]
-        for test in tests
+        for test in ALERT_TESTS
         for check in test.get("promql_expr_test", [])
         for sample in check["exp_samples"]
     }
@@ -146,6 +149,82 @@ def test_the_page_about_watching_names_every_alert_and_every_metric(told: dict[s
     assert {name for name in named if not name.endswith("...")} <= set(told)
 
 
+@pytest.mark.parametrize("question", [one for one in questions() if not one.startswith("label_values")])
+def test_prometheus_could_read_what_is_asked_for(question: str) -> None:
+    for name, value in VARIABLES.items():
+        question = question.replace(name, value)
+    read(question)
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        *("rate(a)", "sum by job (a)", "a ==", "a[5m] > 1", "foo(a)", 'a{b="c}', "(a", "a b", 'a{b=~"("}'),
+        *("", "sum(a[5m])", "a and and b", "a{b}", "increase(a[5])", "1 + a[5m]", "sum by (job a)"),
+    ],
+)
+def test_what_prometheus_could_not_read_is_noticed(question: str) -> None:
+    with pytest.raises((ValueError, re.error)):
+        read(question)
+
+
+def test_the_configuration_scrapes_a_monitor_and_knows_the_rules() -> None:
+    settings = yaml.safe_load((PROMETHEUS / "prometheus.yml").read_text())
+    assert {*settings} == {"global", "rule_files", "scrape_configs"}
+    assert {*settings["global"]} == {"scrape_interval", "evaluation_interval"}
+    assert all(seconds(value) > 0 for value in settings["global"].values())
+    assert all((PROMETHEUS / name).is_file() for name in settings["rule_files"])
+    (job,) = settings["scrape_configs"]
+    assert {*job} == {"job_name", "honor_labels", "static_configs"}
+    assert job["honor_labels"] is True
+    assert all(
+        re.fullmatch(r"[\w.]+:\d+", place) for one in job["static_configs"] for place in one["targets"]
+    )
+
+
+def test_rules_hold_what_rules_may_hold() -> None:
+    (group,) = yaml.safe_load((PROMETHEUS / "alerts.yml").read_text())["groups"]
+    assert {*group} == {"name", "rules"}
+    for rule in RULES:
+        assert {*rule} == {"alert", "expr", "for", "labels", "annotations"}
+        assert {*rule["labels"]} == {"severity"}
+        for words in rule["annotations"].values():
+            assert set(TEMPLATE.sub("", words)).isdisjoint("{}")
+
+
+def test_what_alerts_name_is_what_their_questions_leave(told: dict[str, set[str]]) -> None:
+    everywhere = set.union(*told.values()) | {"instance"}
+    for rule in RULES:
+        named = {label for words in rule["annotations"].values() for _, label, _ in TEMPLATE.findall(words)}
+        assert named - {""} <= everywhere
+
+
+@pytest.mark.parametrize("test", ALERT_TESTS, ids=[test["name"] for test in ALERT_TESTS])
+def test_alerts_come_when_they_should(test: dict[str, Any]) -> None:
+    step = seconds(test["interval"])
+    series = data(test["input_series"], step)
+    for check in test["alert_rule_test"]:
+        (rule,) = [rule for rule in RULES if rule["alert"] == check["alertname"]]
+        expected = [
+            Alert(frozenset(one["exp_labels"].items()), tuple(sorted(one["exp_annotations"].items())))
+            for one in check.get("exp_alerts", [])
+        ]
+        assert firing(rule, series, seconds(check["eval_time"]), step) == expected
+    for check in test.get("promql_expr_test", []):
+        until = seconds(check["eval_time"])
+        state = {("alertstate", "firing")}
+        fired = {
+            ("ALERTS", one.labels | state | {("alertname", rule["alert"])}): [(until, 1.0)]
+            for rule in RULES
+            for one in firing(rule, series, until, step)
+        }
+        found = vector(read(check["expr"]).at(Data(fired), until))
+        assert found == {
+            frozenset((name, text) for name, _, text in LABEL.findall(one["labels"])): one["value"]
+            for one in check["exp_samples"]
+        }
+
+
 def promtool(*arguments: str, folder: Path = PROMETHEUS) -> None:
     done = subprocess.run([str(PROMTOOL), *arguments], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -157,7 +236,7 @@ def test_promtool_takes_the_configuration_and_the_rules() -> None:
 
 
 @needs_promtool
-def test_alerts_come_when_they_should() -> None:
+def test_promtool_agrees_on_when_alerts_come() -> None:
     promtool("test", "rules", "alerts_test.yml")
 
 
