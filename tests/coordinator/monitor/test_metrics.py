@@ -155,9 +155,7 @@ def test_the_content_type_is_that_of_the_format() -> None:
     assert exposition([])[1] == "text/plain; version=0.0.4; charset=utf-8"
 
 
-@pytest.mark.skipif(
-    PROMTOOL is None, reason="promtool (Debian's package prometheus) is not here; others check the same"
-)
+@pytest.mark.skipif(PROMTOOL is None, reason="promtool is not here; others check the same")
 def test_promtool_finds_nothing_wrong(job: JobView) -> None:
     done = subprocess.run(
         [str(PROMTOOL), "check", "metrics"], input=text(job), text=True, capture_output=True
