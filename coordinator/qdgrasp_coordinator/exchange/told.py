@@ -93,7 +93,7 @@ def check(path: Path, told: Told) -> None:
     finite: NDArray[np.bool_] = np.isfinite(told.poses).all(axis=1)
     _check_each(path, told, finite, "its pose holds a number that is not finite")
     lengths: Floats = np.linalg.norm(told.poses[:, 3:], axis=1)
-    unit: NDArray[np.bool_] = np.abs(lengths - 1.0) <= OFF_UNIT
+    unit = np.asarray(np.abs(lengths - 1.0) <= OFF_UNIT)
     wrong = lengths[~unit][0] if not unit.all() else 1.0
     _check_each(path, told, unit, f"its quaternion must be of length 1, and is of length {wrong:.4g}")
     for joint, values in told.starts.items():

@@ -1,0 +1,172 @@
+"""Every format: what independent readers find in its files, and what the files say of themselves."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pyarrow.parquet
+import pytest
+import trimesh
+import yaml
+from scipy.spatial.transform import Rotation
+from tests.coordinator.exchange.conftest import COM
+from tests.coordinator.exchange.readers import JOINTS, READERS, TURNED
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.exchange.about import About
+from qdgrasp_coordinator.exchange.exporting import export
+from qdgrasp_coordinator.exchange.grasps import Grasps
+from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.writing import FORMATS
+from qdgrasp_coordinator.folders.folder import RunFolder
+
+ACROSS = Rotation.from_euler("z", 90, degrees=True)
+"""The jaw's own axes open along y; turned by this first, they open along x."""
+each_format = pytest.mark.parametrize("name", FORMATS)
+
+
+@pytest.fixture
+def grasps(run: RunFolder) -> Grasps:
+    """What is to be written: the successes that survived a shake."""
+    found = read_grasps(run)
+    return found[found.is_grasp]
+
+
+def expected(grasps: Grasps, name: str, origin: tuple[float, float, float]) -> np.ndarray:
+    """The poses as matrices, by another library and from the rows."""
+    poses = grasps.rows["base_to_object"].astype(float)
+    turns = Rotation.from_quat(poses[:, 3:])
+    matrices = np.tile(np.eye(4), (len(poses), 1, 1))
+    matrices[:, :3, :3] = (turns * ACROSS if name in TURNED else turns).as_matrix()
+    matrices[:, :3, 3] = poses[:, :3] + origin
+    return matrices
+
+
+@each_format
+@pytest.mark.parametrize(("frame", "origin"), [("mesh", COM), ("com", (0.0, 0.0, 0.0))])
+def test_another_reader_finds_the_hands_where_they_were(
+    run: RunFolder, grasps: Grasps, tmp_path: Path, name: str, frame: str, origin: tuple[float, float, float]
+) -> None:
+    export(run, tmp_path / "out", name, frame=frame, negatives=0)
+    read = READERS[name](tmp_path / "out")
+    np.testing.assert_allclose(read.matrices, expected(grasps, name, origin), atol=1e-7)
+
+
+@each_format
+def test_another_reader_finds_which_grasps_are_better(
+    run: RunFolder, grasps: Grasps, tmp_path: Path, name: str
+) -> None:
+    export(run, tmp_path / "out", name, negatives=0)
+    bits = np.ones(len(grasps))
+    np.testing.assert_array_equal(
+        READERS[name](tmp_path / "out").quality, bits if name in TURNED else grasps.fitness / 2
+    )
+
+
+def words_of(path: Path, name: str) -> dict[str, object]:
+    """What a file says of itself, as a user would get at it."""
+    match name:
+        case "isaac" | "moveit":
+            return yaml.safe_load(path.read_text())["qdgrasp"]
+        case "acronym":
+            with h5py.File(path) as file:
+                runs = json.loads(file["qdgrasp/about"][()])["runs"]
+                return dict(file["qdgrasp"].attrs) | {"runs": runs}
+        case "graspgen":
+            return json.loads((path / "grasp_data" / "block.json").read_text())["qdgrasp"]
+        case "parquet":
+            return json.loads(pyarrow.parquet.read_schema(path).metadata[b"qdgrasp"])
+        case _:
+            lines = [line[2:].rstrip() for line in path.read_text().splitlines() if line.startswith("# ")]
+            return dict(line.split(": ", 1) for line in lines if ": " in line)
+
+
+@each_format
+def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_path: Path, name: str) -> None:
+    export(run, tmp_path / "out", name)
+    said = words_of(tmp_path / "out", name)
+    assert set(About.__struct_fields__) - {"runs"} <= set(said)
+    assert (said["gripper"], said["gripper_frame"], said["object"]) == ("jaw", "palm", "block")
+    assert (said["frame"], said["units"], said["protocol"]) == ("mesh", "m, rad, kg", "paper")
+    assert (said["gripper_licence"], said["object_licence"]) == ("Apache-2.0", "Apache-2.0")
+    assert float(said["object_scale"]) == 1.0
+    assert "shakes" in said["success"]
+    assert "higher is better" in said["fitness"]
+    assert ("x from one finger to the other" in said["gripper_axes"]) == (name in TURNED)
+
+
+@each_format
+def test_a_file_has_the_digest_and_the_spec_of_the_run(run: RunFolder, tmp_path: Path, name: str) -> None:
+    from qdgrasp_coordinator.folders.digest import digest
+
+    export(run, tmp_path / "out", name)
+    with run.journal() as journal:
+        expected = digest(journal)
+    said = words_of(tmp_path / "out", name)
+    if name == "csv":
+        assert (said["run"], said["  digest"]) == ("run", expected)
+    else:
+        assert [(one["run"], one["digest"]) for one in said["runs"]] == [("run", expected)]
+        assert 'method = "contact_rand"' in said["runs"][0]["spec"]
+
+
+@each_format
+def test_the_same_run_gives_the_same_bytes(run: RunFolder, tmp_path: Path, name: str) -> None:
+    for out in ("one", "two"):
+        export(run, tmp_path / out, name)
+    one, two = ({file.relative_to(tmp_path / out): file.read_bytes() for file in files(tmp_path / out)}
+                for out in ("one", "two"))  # fmt: skip
+    assert one == two
+
+
+def files(out: Path) -> list[Path]:
+    return [file for file in out.rglob("*") if file.is_file()] if out.is_dir() else [out]
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_joints_have_names(run: RunFolder, grasps: Grasps, tmp_path: Path, name: str) -> None:
+    export(run, tmp_path / "out", name, negatives=0)
+    closed, start = JOINTS[name](READERS[name](tmp_path / "out").beside, ["right", "left"])
+    np.testing.assert_allclose(closed, grasps.joints[:, ::-1], rtol=1e-7)
+    np.testing.assert_allclose(start, np.full((len(grasps), 2), 0.04), rtol=1e-7)
+
+
+def test_isaac_names_grasps_by_their_numbers_and_frames_by_both_spellings(
+    run: RunFolder, grasps: Grasps, tmp_path: Path
+) -> None:
+    export(run, tmp_path / "out", "isaac")
+    told = READERS["isaac"](tmp_path / "out").beside
+    assert list(told["grasps"]) == [f"grasp_{number}" for number in grasps.numbers]
+    assert told["gripper_frame"] == told["gripper_frame_link"] == "palm"
+    assert told["object_frame"] == told["object_frame_link"] == "block"
+
+
+def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
+    export(run, tmp_path / "out", "acronym")
+    told = READERS["acronym"](tmp_path / "out").beside
+    assert (told["type"], told["file"], told["mass"], told["friction"]) == ("jaw", "block.stl", 0.1, 0.5)
+    np.testing.assert_allclose(told["com"], COM)
+    box = trimesh.creation.box((0.04, 0.05, 0.06))
+    assert told["volume"] == pytest.approx(box.volume)
+    np.testing.assert_allclose(told["inertia"], box.moment_inertia * 0.1 / box.volume, rtol=1e-6, atol=1e-15)
+
+
+def test_graspgen_has_failures_and_the_mesh_that_its_poses_are_told_of(
+    run: RunFolder, tmp_path: Path
+) -> None:
+    export(run, tmp_path / "out", "graspgen")
+    read = READERS["graspgen"](tmp_path / "out")
+    simulated = read_grasps(run).rows["outcome"].size + 4  # two missed, two brushed
+    assert (read.quality.sum(), len(read.quality)) == (4, simulated)
+    mesh = trimesh.load_mesh(tmp_path / "out" / "object_data" / "block.obj")
+    np.testing.assert_allclose(mesh.center_mass, COM, atol=1e-9)
+    np.testing.assert_allclose(mesh.extents, (0.04, 0.05, 0.06), atol=1e-8)
+
+
+def test_numbers_have_points_and_no_exponents_in_yaml(run: RunFolder, tmp_path: Path) -> None:
+    """`1e-05` is a word to readers of YAML 1.1."""
+    for name in ("isaac", "moveit"):
+        export(run, tmp_path / name, name)
+        told = READERS[name](tmp_path / name)
+        assert told.matrices.dtype == np.float64
