@@ -55,9 +55,10 @@ def render(
     is_film = _is_film(out)
     if what is not None and not is_film:
         raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
-    wish = Wish(_size(size), _view(view), (what or "all") if is_film else None, parts)
+    wish = Wish(_size(size, out), _view(view), (what or "all") if is_film else None, parts)
     _check_free(out, force)
     shown = specimen(RunFolder.open(directory), grasp, trial)
+    typer.echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
         unlike = show(shown, wish, out, stop)
         if stop.is_set:
@@ -82,16 +83,17 @@ def _check_free(out: Path, force: bool) -> None:
         raise InputError(f"{out} exists; name another file, or replace it with --force.")
 
 
-def _size(text: str) -> "Size":
+def _size(text: str, out: Path) -> "Size":
     from qdgrasp_coordinator.looking.picture import LARGEST, SMALLEST
     from qdgrasp_coordinator.looking.replaying import Size
 
+    largest = LARGEST[out.suffix.lower()]
     words = text.lower().split("x")
     if len(words) == 2 and all(word.isdecimal() for word in words):
         size = Size(*map(int, words))
-        if SMALLEST.width <= size.width <= LARGEST.width and SMALLEST.height <= size.height <= LARGEST.height:
+        if SMALLEST.width <= size.width <= largest.width and SMALLEST.height <= size.height <= largest.height:
             return size
-    raise ImpossibleValue("--size", text, f"{SMALLEST} to {LARGEST}")
+    raise ImpossibleValue("--size", text, f"{SMALLEST} to {largest} for a {out.suffix.lower()}")
 
 
 def _view(text: str | None) -> tuple[float, float] | None:

@@ -10,6 +10,8 @@ from PIL import Image, ImageDraw, ImageFont
 FINE = 3
 """So many times finer lines are drawn than they are shown."""
 FONT = "DejaVuSans.ttf"
+RIM = 4
+"""Pixels between words and the edge of the picture."""
 HALO = "white"
 """Behind words, so that they are read over anything."""
 Point = tuple[float, float]
@@ -74,7 +76,7 @@ class Canvas:
         pen = ImageDraw.Draw(whole)
         for place, words, size, colour, anchor in self._words:
             pen.text(
-                place,
+                self._within(place, pen.textlength(words, font(size)), anchor),
                 words,
                 colour,
                 font(size),
@@ -83,6 +85,11 @@ class Canvas:
                 stroke_fill=HALO,
             )
         return whole.convert("RGB")
+
+    def _within(self, place: Point, length: float, anchor: str) -> Point:
+        """Where words of some length begin or end, so that no letter is cut off."""
+        before, behind = (length, 0.0) if anchor == "rm" else (0.0, length)
+        return min(max(place[0], before + RIM), self._image.width - behind - RIM), place[1]
 
 
 def font(size: int) -> ImageFont.FreeTypeFont:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.campaigns.programme import Extent
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.provenance import Provenance
-from qdgrasp_coordinator.keeping.reduction import trimmed
+from qdgrasp_coordinator.looking.own_shape import own_shape
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.runs.preparation import scene_shape
 from qdgrasp_coordinator.runs.repetition import Repetition
@@ -40,8 +40,7 @@ class Lot:
                 here = self.numbers[(self.numbers >= begin) & (self.numbers < begin + len(rows))]
                 parts.append(rows[here - begin])
                 begin += len(rows)
-        shape = scene_shape(self.folder.scene(), method(self.found_by.spec.method).prior)
-        return trimmed(np.concatenate(parts), shape)
+        return own_shape(np.concatenate(parts), self.folder, self.found_by, self.folder.scene())
 
 
 Compared = Callable[[Lot, int, np.void, np.void, str], None]

@@ -26,6 +26,8 @@ WORDS = {
     OVERLAP: "overlap of the open hand",
 }
 """What the colours of contacts mean."""
+HUES = (APPROACH, *AXES.values(), *WORDS)
+"""All of the above."""
 BESIDE = 7
 """Pixels from a point to what is written beside it."""
 Floats = NDArray[np.float64]

@@ -3,23 +3,27 @@
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from PIL import Image, ImageDraw
+from PIL import Image, ImageColor, ImageDraw
 
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.looking.canvas import Canvas, font
 from qdgrasp_coordinator.looking.caption import Caption
-from qdgrasp_coordinator.looking.marks import APPROACH, INK, WORDS, Marks, colours
+from qdgrasp_coordinator.looking.marks import APPROACH, HUES, INK, WORDS, Marks, colours
 from qdgrasp_coordinator.looking.replaying import Replay, Size
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.replay import Shot
 
-SMALLEST, LARGEST = Size(320, 240), Size(3840, 2160)
+SMALLEST, LARGEST = Size(320, 240), {".png": Size(3840, 2160), ".gif": Size(1280, 960)}
+"""Of a picture, and by the ending of a file's name: a film has some ninety."""
 FAINT = "#5c646d"
 MARGIN = 10
 """Pixels beside and between words."""
+SMALL = 7
+"""The smallest letters [pixels]."""
 SAMPLES = 8
 """Frames that a film's colours are taken from."""
 COLOURS = 128
+"""In a film, besides those of marks and words."""
 
 
 class Layout:
@@ -107,19 +111,21 @@ def _with_words(
 
 def _fit(pen: ImageDraw.ImageDraw, height: float, words: str, size: int, colour: str, width: int) -> None:
     """Write a line, in letters as small as it needs."""
-    while size > 7 and pen.textlength(words, font(size)) > width - 2 * MARGIN:
+    while size > SMALL and pen.textlength(words, font(size)) > width - 2 * MARGIN:
         size -= 1
     pen.text((MARGIN, height), words, colour, font(size), anchor="lm")
 
 
 def _legend(pen: ImageDraw.ImageDraw, layout: Layout, legend: Sequence[tuple[str, str]]) -> None:
-    """What the colours mean, side by side in the last line."""
+    """What the colours mean, side by side in the last line, in letters as small as it needs."""
     height, size, x = layout.heights[-1], layout.small, float(MARGIN)
+    words = " ".join(word for word, _ in legend)
+    while size > SMALL and pen.textlength(words, font(size)) + 3 * size * len(legend) > layout.size.width:
+        size -= 1
     for words, colour in legend:
         pen.ellipse([x, height - size // 3, x + 2 * (size // 3), height + size // 3], fill=colour)
-        x += size
-        pen.text((x, height), words, FAINT, font(size), anchor="lm")
-        x += pen.textlength(words, font(size)) + 2 * MARGIN
+        pen.text((x + size, height), words, FAINT, font(size), anchor="lm")
+        x += pen.textlength(words, font(size)) + 2.5 * size
 
 
 def _write_png(path: Path, images: Sequence[Image.Image], _: Sequence[Shot]) -> None:
@@ -128,14 +134,22 @@ def _write_png(path: Path, images: Sequence[Image.Image], _: Sequence[Shot]) -> 
 
 def _write_gif(path: Path, images: Sequence[Image.Image], shots: Sequence[Shot]) -> None:
     """All frames in one set of colours, so that nothing flickers."""
-    chosen = images[:: max(1, len(images) // SAMPLES)]
-    sheet = Image.new("RGB", (images[0].width, images[0].height * len(chosen)))
-    for place, image in enumerate(chosen):
-        sheet.paste(image, (0, place * image.height))
-    palette = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
+    palette = _palette(images[:: max(1, len(images) // SAMPLES)])
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     durations = [round(1000 * shot.seconds) for shot in shots]
     first.save(path, format="GIF", save_all=True, append_images=others, duration=durations, loop=0)
+
+
+def _palette(images: Sequence[Image.Image]) -> Image.Image:
+    """The colours of marks and words as they are, and those that stand for all others in some images."""
+    sheet = Image.new("RGB", (images[0].width, images[0].height * len(images)))
+    for place, image in enumerate(images):
+        sheet.paste(image, (0, place * image.height))
+    others = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
+    exact = [part for hue in ("white", FAINT, INK, *HUES) for part in ImageColor.getrgb(hue)]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*exact, *others[: 3 * COLOURS]])
+    return palette
 
 
 WRITERS: dict[str, Callable[[Path, Sequence[Image.Image], Sequence[Shot]], None]] = {

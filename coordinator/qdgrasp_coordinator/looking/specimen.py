@@ -1,7 +1,6 @@
 """A specimen: one row of a journal, with all that it takes to carry its evaluation out again."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -11,8 +10,7 @@ from qdgrasp_coordinator.counts.poses import as_given
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.folders.provenance import Provenance, provenance
-from qdgrasp_coordinator.keeping.reduction import trimmed
-from qdgrasp_coordinator.runs.preparation import scene_shape
+from qdgrasp_coordinator.looking.own_shape import own_shape
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.outcome import Outcome
@@ -22,10 +20,10 @@ from qdgrasp_protocol.outcome import Outcome
 class Specimen:
     """A row that is looked at."""
 
-    folder: Path
     number: int
     """Of the row in the journal."""
     row: np.void
+    """In the shape of its own run."""
     found_by: Provenance
     scene: Scene
     bundle: Bundle
@@ -44,8 +42,7 @@ class Specimen:
     def genome(self) -> tuple[float, ...]:
         """Of the prior `given`: its very pose."""
         prior = method(self.found_by.spec.method).prior
-        rows = trimmed(self.row.reshape(1), scene_shape(self.scene, prior))
-        return tuple(as_given(self.scene, prior, rows)[0].tolist())
+        return tuple(as_given(self.scene, prior, self.row.reshape(1))[0].tolist())
 
 
 class NoPose(InputError):
@@ -88,7 +85,9 @@ def specimen(folder: RunFolder, number: int, trial: int | None = None) -> Specim
         if not row["base_to_object"].any():
             reason = journal.errors().get(number, "why is not recorded")
             raise NoPose(number, Outcome(row["outcome"]), reason)
-    return Specimen(folder.path, number, row, found_by, folder.scene(), folder.bundle())
+    scene = folder.scene()
+    (own,) = own_shape(row.reshape(1), folder, found_by, scene)
+    return Specimen(number, own, found_by, scene, folder.bundle())
 
 
 def _trial_of(

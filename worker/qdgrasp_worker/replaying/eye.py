@@ -126,7 +126,7 @@ class Eye:
 
     def look(self, lens: Lens, width: int, height: int) -> NDArray[np.uint8]:
         """Draw what is there: (rows, columns, 3)."""
-        colours, _ = self._see(lens, width, height, shadow=True, flags=pb.ER_NO_SEGMENTATION_MASK)
+        colours, _ = self._see(lens, width, height, shadow=False, flags=pb.ER_NO_SEGMENTATION_MASK)
         image: NDArray[np.uint8] = colours.astype(np.uint8).reshape(height, width, 4)[:, :, :3]
         return image
 

@@ -1,0 +1,194 @@
+"""Pictures: marks stand where the camera sees what they mark, and words are there and fit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageColor
+from tests.coordinator.analysis.test_profile import run_of
+from tests.coordinator.scenes import SceneMaker, jaw
+
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.looking.caption import Caption
+from qdgrasp_coordinator.looking.marks import APPROACH, AXES, CONTACT, OTHER, OVERLAP
+from qdgrasp_coordinator.looking.picture import SMALLEST, Layout, pictures, write
+from qdgrasp_coordinator.looking.replaying import Replay, Size
+from qdgrasp_coordinator.looking.specimen import Specimen, specimen
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.replay import Answer, Camera, Phase, Shot, Touch
+
+SIZE = Size(640, 560)
+LAYOUT = Layout(SIZE)
+GREY = 200
+"""All of the frame beneath the marks."""
+OBJECT, HAND = (0.1, 0.1, 0, 0, 0, 0, 1), (-0.1, 0.0, 0, 0, 0, 0, 1)
+POINT, FAR = (0.05, -0.05, 0.0), (-0.05, -0.08, 0.0)
+
+
+def camera() -> Camera:
+    """Looks down on a square metre around the origin, x to the right and y up: 40 cm from side to side."""
+    width, height = LAYOUT.scene
+    matrix = np.diag([5.0, 5.0 * width / height, 1.0, 1.0])
+    return Camera(azimuth=0, elevation=90, matrix=tuple(matrix.ravel().tolist()), width=width, height=height)
+
+
+def touch(point: tuple[float, ...], is_finger: bool = True, distance: float = 0.0) -> Touch:
+    return Touch(link="left", is_finger=is_finger, point=point, normal=(0, 0, 1), distance=distance)
+
+
+def replay(*shots: Shot) -> Replay:
+    width, height = LAYOUT.scene
+    frames = np.full((len(shots), height, width, 3), GREY, dtype=np.uint8)
+    answer = Answer(
+        outcome=7, fitness=2, joints=(0.01, 0.02), contacts=2, penetration=0.0, camera=camera(), shots=shots
+    )
+    return Replay(answer, frames)
+
+
+def shot(phase: Phase = "closing", *touches: Touch, step: int = 100) -> Shot:
+    return Shot(phase=phase, step=step, seconds=0.08, hand=HAND, object=OBJECT, touches=touches)
+
+
+@pytest.fixture
+def held(tmp_path: Path, make_scene: SceneMaker) -> Specimen:
+    return specimen(grasped(tmp_path, make_scene, Outcome.HELD), 0)
+
+
+def grasped(tmp_path: Path, make_scene: SceneMaker, outcome: Outcome) -> RunFolder:
+    return run_of(tmp_path / outcome.name, make_scene(), [outcome]).folder
+
+
+def drawn(shown: Specimen, *shots: Shot) -> list[np.ndarray]:
+    caption = Caption.of(shown, shots, [])
+    return [np.array(image) for image in pictures(replay(*shots), jaw("jaw"), caption, LAYOUT)]
+
+
+def has(image: np.ndarray, colour: str, place: np.ndarray, radius: float = 2.0) -> bool:
+    """Whether a colour is seen near a place."""
+    rows, columns = np.nonzero((image == ImageColor.getrgb(colour)).all(axis=-1))
+    return bool((np.hypot(columns + 0.5 - place[0], rows + 0.5 - place[1]) <= radius).any())
+
+
+def seen(*points: tuple[float, ...]) -> np.ndarray:
+    return camera().pixels(np.array(points, dtype=float))
+
+
+def test_a_contact_is_marked_where_it_is(held: Specimen) -> None:
+    (image,) = drawn(held, shot("closing", touch(POINT), touch(FAR, is_finger=False)))
+    point, far = seen(POINT, FAR)
+    assert has(image, CONTACT, point)
+    assert has(image, OTHER, far)
+    assert not has(image, CONTACT, far, radius=8)
+
+
+def test_an_overlap_of_the_open_hand_is_marked_as_such(held: Specimen) -> None:
+    (image,) = drawn(held, shot("placed", touch(POINT, distance=-0.01), touch(FAR, distance=0.001)))
+    point, far = seen(POINT, FAR)
+    assert has(image, OVERLAP, point)
+    assert has(image, CONTACT, far)
+
+
+@pytest.fixture
+def turned() -> Shot:
+    """The hand's z goes along the object's x."""
+    hand = (-0.1, 0.0, 0.0, 0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+    return Shot(phase="closing", step=100, seconds=1.0, hand=hand, object=OBJECT, touches=())
+
+
+def test_frames_stand_at_the_hand_and_the_object_with_their_axes(held: Specimen, turned: Shot) -> None:
+    (image,) = drawn(held, turned)
+    on_x, on_y, hand_y, hand_z = seen((0.12, 0.1, 0), (0.1, 0.12, 0), (-0.1, 0.02, 0), (-0.08, 0, 0))
+    assert has(image, AXES["x"], on_x)
+    assert has(image, AXES["y"], on_y)
+    assert has(image, AXES["y"], hand_y)
+    assert has(image, AXES["z"], hand_z)
+
+
+def test_the_approach_axis_begins_at_the_palm(held: Specimen, turned: Shot) -> None:
+    (image,) = drawn(held, turned)
+    palm, beyond, before = seen((-0.03, 0, 0), (0.0, 0, 0), (-0.05, 0, 0))
+    assert has(image, APPROACH, palm)
+    assert has(image, APPROACH, beyond)
+    assert not has(image, APPROACH, before, radius=5)
+
+
+@pytest.mark.parametrize("size", [SMALLEST, SIZE, Size(1280, 960)], ids=str)
+def test_words_fit_below_the_scene(held: Specimen, size: Size) -> None:
+    layout = Layout(size)
+    assert layout.scene.height > size.height / 2
+    assert size.height - 2 > layout.heights[-1] > layout.heights[0] > layout.scene.height
+    assert layout.scene.width == size.width
+
+
+def test_a_caption_says_what_it_is_and_what_came_of_it(held: Specimen) -> None:
+    caption = Caption.of(held, [shot()], [])
+    assert caption.title == "jaw on block, grasp 0: held, fitness 2"
+    assert caption.lines == (
+        "both shakes were survived; 0 finger links in contact, penetration 0 mm",
+        "protocol paper, method me_scs, seed 0; replayed as recorded",
+    )
+
+
+def test_a_caption_says_where_the_replay_differs(held: Specimen) -> None:
+    assert (
+        Caption.of(held, [shot()], ["fitness 1.0 instead of 2.0"])
+        .lines[1]
+        .endswith("; but replayed: fitness 1.0 instead of 2.0")
+    )
+
+
+def test_a_caption_calls_a_failure_a_row(tmp_path: Path, make_scene: SceneMaker) -> None:
+    missed = specimen(grasped(tmp_path, make_scene, Outcome.MISSED), 0)
+    caption = Caption.of(missed, [shot()], [])
+    assert caption.title == "jaw on block, row 0: missed, fitness 0"
+    assert caption.lines[0] == "no finger touched the object"
+
+
+@pytest.mark.parametrize(
+    ("phase", "step", "words"),
+    [
+        ("placed", 0, "as it is placed, before the hand closes"),
+        ("closing", 48, "closing, 0.20 s"),
+        ("closing", 100, "after closing"),
+        ("shake z", 120, "shake along z, 0.50 s"),
+        ("shake x", 204, "shake about x, 0.85 s"),
+    ],
+)
+def test_a_frame_says_what_happens_in_it(held: Specimen, phase: Phase, step: int, words: str) -> None:
+    caption = Caption.of(held, [shot(), shot("shake z", step=204)], [])
+    assert caption.phase(shot(phase, step=step)) == words
+
+
+def film(held: Specimen) -> tuple[list[Shot], list[Image.Image]]:
+    shots = [shot("closing", touch((0.01 * n, 0.0, 0.0)), step=n) for n in range(12)]
+    caption = Caption.of(held, shots, [])
+    return shots, list(pictures(replay(*shots), jaw("jaw"), caption, LAYOUT))
+
+
+def test_a_film_has_all_frames_and_lasts_as_long(held: Specimen, tmp_path: Path) -> None:
+    shots, images = film(held)
+    write(tmp_path / "a.gif", iter(images), shots)
+    with Image.open(tmp_path / "a.gif") as written:
+        assert (written.n_frames, written.size, written.info["duration"]) == (12, tuple(SIZE), 80)
+        written.seek(5)
+        assert has(np.array(written.convert("RGB")), CONTACT, *seen((0.05, 0.0, 0.0)))
+
+
+def test_a_picture_is_the_last_frame(held: Specimen, tmp_path: Path) -> None:
+    shots, images = film(held)
+    write(tmp_path / "a.png", iter(images), shots)
+    with Image.open(tmp_path / "a.png") as written:
+        assert np.array_equal(np.array(written), np.array(images[-1]))
+
+
+def test_a_picture_that_cannot_be_written_is_refused_and_leaves_nothing(
+    held: Specimen, tmp_path: Path
+) -> None:
+    shots, images = film(held)
+    with pytest.raises(InputError, match=r"No picture can be written to '.*': No such file"):
+        write(tmp_path / "nowhere" / "a.png", iter(images), shots)
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(InputError, match=r"No picture can be written"):
+        write(tmp_path / "folder.png", iter(images), shots)
+    assert not list(tmp_path.glob(".*"))
