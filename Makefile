@@ -7,10 +7,11 @@ PYTHON ?= $(shell for name in python3.11 python3 python; do $$name -c "$(IS_3_11
 # One process for the tests that start processes themselves, the others for the rest (tests/conftest.py).
 IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 
-.PHONY: help demo test test-slow check fuzz chaos simulate simulate-curves bench scale results results-page lock clean
+.PHONY: help demo test test-slow test-docs check fuzz chaos simulate simulate-curves bench scale results results-page lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
 	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
+	@echo "make test-docs   every command of README.md and docs/, also those that take long"
 	@echo "make check   formatter, linter, types, imports between rooms"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
 	@echo "make simulate   5000 histories of machines and links that fail, and what must always hold in them (HISTORIES=, FIRST=)"
@@ -30,6 +31,9 @@ test: $(VENV)/.ready
 
 test-slow: $(VENV)/.ready
 	$(BIN)/python -m pytest -m slow --ignore=tests/benchmarks
+
+test-docs: $(VENV)/.ready
+	$(BIN)/python -m pytest tests/docs tests/examples
 
 check: $(VENV)/.ready
 	$(BIN)/ruff format --check .

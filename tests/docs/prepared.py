@@ -1,0 +1,255 @@
+"""What the pages take to be there: files, and folders of small real runs, made when they are first needed."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from tests.coordinator.scenes import JAW
+from tests.docs.blocks import ROOT
+from tests.system.commands import Commands
+
+import qdgrasp
+from qdgrasp_coordinator.folders.job_folder import LOGS, Job
+
+RUNS = """
+[defaults]
+gripper = "panda"
+evaluations = 100
+population = 25
+
+[[cross]]
+object = "mug"
+method = "aimed"
+seed = [0, 1]
+
+[[cross]]
+object = "rubiks_cube"
+method = "aimed"
+seed = 0
+
+[[cross]]
+object = "part.stl"
+mass = 0.3
+method = "aimed"
+seed = [0, 1, 2]
+"""
+"""All runs that are assumed: of one campaign, for one worker is started sooner than six."""
+JAW_TOML = """
+urdf = "my_hand.urdf"
+licence = "Apache-2.0"
+base_link = "palm"
+approach_axis = [0, 0, 1]
+palm_offset = 0.06
+standoff = [0.0, 0.05]
+finger_links = ["left_finger", "right_finger"]
+
+[jaw]
+axis = [0, 1, 0]
+opening = 0.08
+
+[joints.left]
+open = 0.04
+closed = 0.0
+
+[joints.right]
+open = 0.04
+closed = 0.0
+"""
+SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "contact_me_scs"\npopulation = 30\nevaluations = 60\n'
+MANY = """
+[defaults]
+gripper = "panda"
+object = "mug"
+evaluations = 40
+population = 20
+
+[[cross]]
+method = ["contact_rand", "approach_rand"]
+seed = [0]
+"""
+
+
+class Prepared:
+    """A folder in which what is assumed is made once; pages get copies."""
+
+    def __init__(self, home: Path) -> None:
+        self.home = home
+        self.commands = Commands(home)
+
+    def give(self, name: str, to: Path) -> None:
+        """Have a file or folder in another home too."""
+        target = to / name
+        if target.exists():
+            return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source = self.make(name)
+        if source.is_dir():
+            shutil.copytree(source, target)
+        else:
+            shutil.copy(source, target)
+
+    def make(self, name: str) -> Path:
+        """Make a file or folder unless it is there."""
+        path = self.home / name
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            MAKERS[name](self, path)
+        return path
+
+    def __call__(self, *arguments: object) -> None:
+        done = self.commands(*arguments)
+        assert done.code == 0, done.err
+
+
+Maker = Callable[[Prepared, Path], None]
+
+
+def part(_: Prepared, path: Path) -> None:
+    trimesh.creation.box((0.04, 0.06, 0.12)).export(path)
+
+
+def bracket(_: Prepared, path: Path) -> None:
+    """An L of 60 x 60 x 20, drawn in millimetres."""
+    profile = [(0, 0), (60, 0), (60, 20), (20, 20), (20, 60), (0, 60)]
+    corners = [(x, y, z) for z in (0.0, 20.0) for x, y in profile]
+    caps = [(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 5, 4), (6, 7, 8), (6, 8, 9), (6, 9, 10), (6, 10, 11)]
+    sides = [(i, (i + 1) % 6, 6 + (i + 1) % 6) for i in range(6)]
+    sides += [(i, 6 + (i + 1) % 6, 6 + i) for i in range(6)]
+    trimesh.Trimesh(corners, caps + sides).export(path)
+
+
+def scan(_: Prepared, path: Path) -> None:
+    """A ball with two holes."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    trimesh.Trimesh(ball.vertices, np.delete(ball.faces, [5, 100], axis=0), process=False).export(path)
+
+
+def parts(_: Prepared, path: Path) -> None:
+    """A folder of meshes in millimetres, with a table of masses."""
+    path.mkdir()
+    trimesh.creation.box((20, 20, 80)).export(path / "lever.stl")
+    trimesh.creation.icosphere(subdivisions=2, radius=25).export(path / "knob.ply")
+    (path / "masses.csv").write_text("file,mass\nlever.stl,0.35\n")
+
+
+def my_hand(prepared: Prepared, path: Path) -> None:
+    path.write_text(JAW_TOML)
+    prepared.make("my_hand.urdf")
+
+
+def runs(prepared: Prepared, path: Path) -> None:
+    prepared.make("part.stl")
+    (prepared.home / "runs.toml").write_text(RUNS)
+    prepared("campaign", "runs.toml", "--workers", 2, "--out", path)
+
+
+def run_of(target: str, seed: int = 0) -> Maker:
+    """One of these runs, as a job of its own."""
+
+    def make(prepared: Prepared, path: Path) -> None:
+        found = (prepared.make("all") / "runs").glob(f"panda-{target}-aimed-s{seed}-*")
+        shutil.copytree(next(found), path)
+        for name, content in Job.begun(path).file.items():
+            (path / name).write_bytes(content)
+        (path / LOGS).mkdir()
+
+    return make
+
+
+def copy_of(name: str) -> Maker:
+    return lambda prepared, path: shutil.copytree(prepared.make(name), path) and None
+
+
+def reference(name: str) -> Maker:
+    return lambda prepared, path: prepared("reference", "build", prepared.make(name), "--out", path)
+
+
+def poses(prepared: Prepared, path: Path) -> None:
+    poses = qdgrasp.open(prepared.make("runs/mug-s0")).grasps(min_fitness=0).poses("com")
+    np.savez(path, base_position=poses[:, :3], base_quaternion_xyzw=poses[:, 3:])
+
+
+def grasps_file(prepared: Prepared, path: Path) -> None:
+    prepared("export", prepared.make("runs/mug-s0"), "--format", "isaac", "-o", path)
+
+
+def campaigns(_: Prepared, path: Path) -> None:
+    """The campaigns of deploy/, with budgets and seeds cut."""
+    shutil.copytree(ROOT / "deploy", path)
+    for file in (path / "campaigns").glob("*.toml"):
+        text = re.sub(r"evaluations = [\d_]+", "evaluations = 20\npopulation = 20", file.read_text())
+        text = re.sub(r"object = \[[^\]]*\]", 'object = ["mug"]', text)
+        file.write_text(re.sub(r"seed = \[[^\]]*\]", "seed = [0]", text))
+
+
+def campaign(prepared: Prepared, path: Path) -> None:
+    file = prepared.make("deploy") / "campaigns" / "paper-small.toml"
+    prepared("campaign", file, "--workers", 2, "--out", path)
+
+
+def certificates(prepared: Prepared, path: Path) -> None:
+    prepared("security", "init", path, "--host", "127.0.0.1")
+    prepared("security", "add", path, "worker", "lab-7", "--host", "127.0.0.1")
+    for role in ("monitor", "admin"):  # a page's lab-7 watches and administers as well
+        for file in path.glob(f"{role}.*"):
+            shutil.copy(file, path / "lab-7")
+
+
+MAKERS: dict[str, Maker] = {
+    "all": runs,
+    "S_G_panda_2f.npz": reference("runs/cube"),
+    "S_G_part.npz": reference("runs/part-s0"),
+    "bracket.stl": bracket,
+    "deploy": campaigns,
+    "examples": lambda _, path: shutil.copytree(ROOT / "examples", path) and None,
+    "grasps.yaml": grasps_file,
+    "in.npz": poses,
+    "lab-7": lambda prepared, path: shutil.copytree(prepared.make("security") / "lab-7", path) and None,
+    "many.toml": lambda _, path: path.write_text(MANY) and None,
+    "mugs.toml": lambda _, path: path.write_text(SPEC) and None,
+    "my_hand.toml": my_hand,
+    "my_hand.urdf": lambda _, path: path.write_text(JAW) and None,
+    "part.stl": part,
+    "parts": parts,
+    "poses.npz": poses,
+    "runs/cube": run_of("rubiks_cube"),
+    "runs/demo": copy_of("runs/mug-s0"),
+    "runs/mug": copy_of("runs/mug-s0"),
+    "runs/mug-s0": run_of("mug"),
+    "runs/mug-s1": run_of("mug", seed=1),
+    "runs/mugs": copy_of("runs/mug-s0"),
+    "runs/paper-small": campaign,
+    "runs/part": run_of("part"),
+    "runs/part-s0": run_of("part"),
+    "runs/part-s1": run_of("part", seed=1),
+    "runs/part-s2": run_of("part", seed=2),
+    "scan.ply": scan,
+    "security": certificates,
+    "spec.toml": lambda _, path: path.write_text(SPEC) and None,
+}
+"""By the name that the pages give it."""
+BESIDE = {"my_hand.toml": ("my_hand.urdf",), "runs/part": ("part.stl",)}
+"""What comes with it."""
+
+
+def mentions(text: str, name: str) -> bool:
+    """Whether a line, or a script, names a file or folder."""
+    return bool(re.search(rf"(?<![\w./-]){re.escape(name)}(?=$|[\s/,:\"'])", text))
+
+
+def makes(text: str, name: str) -> bool:
+    """Whether a line writes it."""
+    return bool(re.search(rf"(--out|-o|init|--picture|>>?) {re.escape(name)}(?=$|[\s/])", text))
+
+
+def assumed(texts: list[str]) -> list[str]:
+    """What lines, in their order, take to be there: what is named before one of them has made it."""
+    found = []
+    for name in MAKERS.keys() - {"all"}:
+        first = next((text for text in texts if mentions(text, name)), None)
+        if first is not None and not makes(first, name):
+            found += [name, *BESIDE.get(name, ())]
+    return sorted(found)

@@ -1,0 +1,148 @@
+"""Every command of the pages is run, or stands in a list with the reason why it is not."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+from tests.docs import rules
+from tests.docs.blocks import PAGES, ROOT, Line, blocks, spans, words
+from tests.docs.prepared import Prepared, assumed
+from tests.docs.story import Story
+from typer.exceptions import TyperException
+
+from qdgrasp_coordinator.cli import coordinator, main, monitor, recorder, router
+from qdgrasp_worker import cli as worker
+
+SHELL = ("sh", "bash", "console")
+APPS = {
+    "qdgrasp": main.app,
+    "qdgrasp-coordinator": coordinator.app,
+    "qdgrasp-monitor": monitor.app,
+    "qdgrasp-recorder": recorder.app,
+    "qdgrasp-router": router.app,
+    "qdgrasp-worker": worker.app,
+}
+OTHERS = r"(sqlite3|curl|jq) "
+"""Programs of others that lines are run with, where they are installed."""
+LINES = [line for page in PAGES for block in blocks(page, *SHELL) for line in block.lines]
+OURS = [line for line in LINES if line.is_ours]
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def told(page: Path, *, whole: bool) -> list[list[Line]]:
+    """The lines of a page that are run, block by block; those that take long only if it is told whole."""
+    found = [
+        [line for line in block.lines if whole or not rules.LONG.match(line.text)]
+        for block in blocks(page, *SHELL)
+    ]
+    return [[line for line in lines if not rules.reason(line.text)] for lines in found]
+
+
+def has_long(page: Path) -> bool:
+    return told(page, whole=True) != told(page, whole=False)
+
+
+SHORT_STORIES = [page for page in PAGES if any(told(page, whole=False)) or blocks(page, "python")]
+LONG_STORIES = [page for page in PAGES if has_long(page)]
+
+
+@pytest.fixture(scope="session")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prepared]:
+    prepared = Prepared(tmp_path_factory.mktemp("prepared"))
+    yield prepared
+    prepared.commands.end_all()
+
+
+@pytest.fixture
+def story(prepared: Prepared, tmp_path: Path) -> Iterator[Story]:
+    story = Story(tmp_path, prepared.home / "cache")
+    yield story
+    story.close()
+
+
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("page", SHORT_STORIES, ids=name_of)
+def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: Story) -> None:
+    tell(page, prepared, story, whole=False)
+    scripts = "\n".join(block.text for block in blocks(page, "python"))
+    (story.home / "of_the_page.py").write_text(scripts)
+    done = subprocess.run(
+        [sys.executable, "of_the_page.py"], cwd=story.home, capture_output=True, check=False, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(2400)
+@pytest.mark.parametrize("page", LONG_STORIES, ids=name_of)
+def test_all_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: Story) -> None:
+    tell(page, prepared, story, whole=True)
+
+
+def tell(page: Path, prepared: Prepared, story: Story, *, whole: bool) -> None:
+    """Carry a page out, in a folder that has what it assumes."""
+    texts = [rules.cut(line.text, story.places) for lines in told(page, whole=whole) for line in lines]
+    scripts = [block.text for block in blocks(page, "python")]
+    needed = assumed([*texts, *scripts])
+    if "--security" in " ".join(texts):
+        needed.append("security")
+    for name in needed:
+        prepared.give(name, story.home)
+    for lines in told(page, whole=whole):
+        story.tell(lines)
+
+
+@pytest.mark.parametrize("line", [line for line in LINES if not line.is_ours], ids=str)
+def test_a_line_of_another_program_is_run_or_listed(line: Line) -> None:
+    assert rules.reason(line.text) or re.match(OTHERS, line.text), (
+        "no rule says why this is not run; add one to tests/docs/rules.py"
+    )
+
+
+@pytest.mark.parametrize("line", OURS, ids=str)
+def test_a_line_of_ours_is_one_that_the_commands_take(line: Line) -> None:
+    if not line.text.startswith("python "):
+        program, *arguments = words(line)
+        parse(program, arguments)
+
+
+@pytest.mark.parametrize("pattern", rules.ELSEWHERE)
+def test_a_reason_is_given_for_something(pattern: str) -> None:
+    assert any(re.match(pattern, line.text) for line in LINES), "no line is like that any more"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_in_sentences_have_the_flags_that_they_are_given(page: Path) -> None:
+    for said in spans(page):
+        program, *rest = said.replace("[", " ").replace("]", " ").split()
+        assert program in APPS, said
+        command = typer.main.get_command(APPS[program])
+        for word in rest:
+            if word in getattr(command, "commands", {}):
+                command = command.commands[word]  # type: ignore[attr-defined]
+        flags = {flag for option in command.params for flag in (*option.opts, *option.secondary_opts)}
+        named = {word.partition("=")[0].rstrip(",.") for word in rest if word.startswith("-") and word != "-"}
+        assert named <= flags | {"--help"}, said
+        if program == "qdgrasp" and rest and re.fullmatch(r"[a-z]+", rest[0]):
+            assert rest[0] in typer.main.get_command(main.app).commands, said  # type: ignore[attr-defined]
+
+
+def parse(program: str, arguments: list[str]) -> None:
+    """Have a command read its arguments, and do nothing."""
+    command = typer.main.get_command(APPS[program])
+    try:
+        context = command.make_context(program, list(arguments))
+        while hasattr(command, "commands"):
+            name, command, arguments = command.resolve_command(
+                context, [*context._protected_args, *context.args]
+            )
+            context = command.make_context(name, list(arguments), parent=context)
+    except TyperException as error:
+        raise AssertionError(f"{program}: {error.format_message()}") from None
