@@ -1,6 +1,6 @@
 """Pictures of `qdgrasp view` for docs/looking.md: a grasp of a run, and what filters leave of another run.
 
-python -m tests.system.looks docs/looking runs/mug runs/allegro
+python -m tests.system.looks docs/looking runs/mug runs/mug-allegro
 """
 
 import re
@@ -40,9 +40,9 @@ def address(commands: Commands, run: str) -> str:
 def grasp(chromium: Any, place: str, out: Path) -> None:
     """A chosen grasp with its frames, on a desk."""
     page = opened(chromium, place, color_scheme="light")
-    for _ in range(3):
-        page.locator("#scene").press("n")
-        page.locator("#grasp h4").wait_for()
+    for key in ("n", *["+"] * 3):
+        page.locator("#scene").press(key)
+    page.locator("#grasp h4").wait_for()
     take(page, out / "grasp-desktop-light.png")
 
 

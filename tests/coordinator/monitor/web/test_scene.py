@@ -265,6 +265,17 @@ def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> N
     assert np.allclose(alone.evaluate(state), first)
 
 
+def test_plus_shows_things_larger_and_minus_smaller(alone: Page) -> None:
+    scale = "view.stage.lens.scale"
+    alone.locator("canvas").focus()
+    first = alone.evaluate(scale)
+    alone.keyboard.press("+")
+    alone.wait_for_function(f"(before) => {scale} > 1.1 * before", arg=first)
+    for _ in range(2):
+        alone.keyboard.press("-")
+    alone.wait_for_function(f"(before) => {scale} < before / 1.1", arg=first)
+
+
 def test_what_takes_long_is_drawn_coarsely_and_finely_again_when_it_does_not(alone: Page) -> None:
     finest, coarsest, again = alone.evaluate(
         """async () => {

@@ -60,5 +60,10 @@ function command(words) {
       copy.textContent = "Select it"; // a page that is not served over TLS may not copy
     }
   });
-  return element("div", { class: "replay" }, element("code", { tabindex: "0" }, words), copy);
+  return element("div", { class: "replay" }, element("code", { tabindex: "0" }, ...words.split(/(?<= )/).map(unbroken)), copy);
+}
+
+/** A word of a command; a flag is not broken at its hyphens. */
+function unbroken(word) {
+  return word.startsWith("-") ? element("span", { class: "flag" }, word) : word;
 }

@@ -24,7 +24,7 @@ const shift = (x, y) => ({ stage }) => {
   stage.moved();
 };
 const zoom = (factor) => ({ stage }) => {
-  stage.controls[factor > 1 ? "dollyIn" : "dollyOut"](factor > 1 ? factor : 1 / factor);
+  stage.controls.dollyIn(1 / factor);
   stage.touched = true;
   stage.moved();
 };
