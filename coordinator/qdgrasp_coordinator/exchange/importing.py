@@ -113,8 +113,8 @@ def _notes(told: Told, hand: SceneGripper, thing: Thing) -> list[str]:
     notes = []
     if told.scale is not None and abs(told.scale / thing.scale - 1) > NEAR and not _is_built_in(told):
         notes.append(
-            f"The file scales its mesh by {told.scale:g}, here it is scaled by {thing.scale:g}: if the mesh "
-            f"is the same, add --scale {told.scale:g}."
+            f"The file scales its mesh by {told.scale:.16g}, and here it is scaled by {thing.scale:.16g}: if "
+            f"it is the same mesh, add --scale {told.scale:.16g}."
         )
     about = told.about
     if about is None:

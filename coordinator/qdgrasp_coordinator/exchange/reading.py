@@ -7,7 +7,7 @@ from typing import NamedTuple
 import msgspec
 
 from qdgrasp_coordinator.exchange import acronym, graspgen, isaac, parquet
-from qdgrasp_coordinator.exchange.told import Told, Unusable, check
+from qdgrasp_coordinator.exchange.told import Told, Unusable, check, decoded
 
 KNOWN = "ACRONYM (HDF5 or JSON), GraspGen JSON, Isaac Grasp YAML, and Parquet that `qdgrasp export` wrote"
 LARGEST = 1 << 32
@@ -57,10 +57,7 @@ class Kind(msgspec.Struct):
 
 def _read_json(path: Path) -> Told:
     payload = path.read_bytes()
-    try:
-        is_nested = msgspec.json.decode(payload, type=Kind).grasps != msgspec.Raw(b"")
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise Unusable(path, f"it is not JSON with grasps ({error})") from None
+    is_nested = bool(bytes(decoded(path, payload, Kind).grasps))
     return graspgen.read(path, payload) if is_nested else acronym.read_json(path, payload)
 
 
