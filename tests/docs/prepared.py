@@ -17,8 +17,8 @@ from qdgrasp_coordinator.folders.job_folder import LOGS, Job
 RUNS = """
 [defaults]
 gripper = "panda"
-evaluations = 100
-population = 25
+evaluations = 60
+population = 20
 
 [[cross]]
 object = "mug"
@@ -180,7 +180,7 @@ def campaigns(_: Prepared, path: Path) -> None:
     """The campaigns of deploy/, with budgets and seeds cut."""
     shutil.copytree(ROOT / "deploy", path)
     for file in (path / "campaigns").glob("*.toml"):
-        text = re.sub(r"evaluations = [\d_]+", "evaluations = 20\npopulation = 20", file.read_text())
+        text = re.sub(r"evaluations = [\d_]+", "evaluations = 20", file.read_text())
         text = re.sub(r"object = \[[^\]]*\]", 'object = ["mug"]', text)
         file.write_text(re.sub(r"seed = \[[^\]]*\]", "seed = [0]", text))
 
@@ -242,7 +242,7 @@ def mentions(text: str, name: str) -> bool:
 
 def makes(text: str, name: str) -> bool:
     """Whether a line writes it."""
-    return bool(re.search(rf"(--out|-o|init|--picture|>>?) {re.escape(name)}(?=$|[\s/])", text))
+    return bool(re.search(rf"(--out|-o|init|cp -r \S+|--picture|>>?) {re.escape(name)}(?=$|[\s/])", text))
 
 
 def assumed(texts: list[str]) -> list[str]:

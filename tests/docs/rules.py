@@ -11,6 +11,7 @@ ELSEWHERE = {
     r".*\bsbatch ": "needs Slurm; the scripts have tests of their own (tests/deploy)",
     r".*\bdocker ": "needs Docker and the network; the files have tests of their own (tests/deploy)",
     r"kubectl ": "needs a cluster; the objects have tests of their own (tests/deploy)",
+    r"python examples/own_optimiser\.py \S+ tcp/": "needs a router with workers; tests/examples has both",
     r"ssh ": "needs another machine",
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
     r"qdgrasp campaign deploy/campaigns/paper(-medium)?\.toml(?! --list)": "takes days",
@@ -37,11 +38,14 @@ CUTS: tuple[tuple[str, str], ...] = (
     (r"--pin --grace \d+", "--pin --grace 1"),
     (r"^qdgrasp bench", "qdgrasp bench --seconds 0.2"),
     (r"ycb_mug", "mug"),
+    (r"^(qdgrasp security add security \w+ (\S+))", r"\1 --host 127.0.0.1 && cp -r security/\2 \2"),
+    (r"--security lab-7", "--security {lab}"),
+    (r"--workers 0 --listen tls/0\.0\.0\.0:7448", "--workers 1 --listen {other}"),
+    (r"^(curl .*)$", r"until \1; do sleep 0.2; done"),
     (r"--host node7", "--host {hostname}"),
     (r"--host (head|router)\b", "--host 127.0.0.1"),
     (r"--connect tls/a:7447,tls/b:7447", "--connect {tls}"),
     (r"--listen tls/0\.0\.0\.0:7447 --connect tls/b:7447", "--listen {tls}"),
-    (r"--listen tls/0\.0\.0\.0:7448", "--listen {tls}"),
     (r"tls/(head|localhost|0\.0\.0\.0|a|b):\d+", "{tls}"),
     (r"tcp/127\.0\.0\.1:7447", "{tcp}"),
     (r"127\.0\.0\.1:8080", "{web}"),
@@ -50,7 +54,7 @@ CUTS: tuple[tuple[str, str], ...] = (
 """Patterns of a line, and what is run instead of what they match."""
 
 DEFAULTS: tuple[tuple[str, str, str], ...] = (
-    (r"qdgrasp (run|optimise) (?!.*(--evaluations|spec\.toml))", "--evaluations", "100"),
+    (r"qdgrasp (run|optimise) (?!.*(--evaluations|spec\.toml))", "--evaluations", "60"),
     (r"qdgrasp (run|resume|campaign|rerank|evaluate|verify) (?!.*(--workers|--list))", "--workers", "1"),
     (r"qdgrasp run (?=.*--workers 0)(?!.*--listen)", "--listen", "{tcp}"),
     (r"qdgrasp (jobs|pause|continue|drain|cancel)\b(?!.*--connect)", "--connect", "{tcp}"),
@@ -65,7 +69,6 @@ SERVICES: dict[str, str] = {
     r"qdgrasp-recorder": "",
     r"qdgrasp-worker": "",
     r"qdgrasp-monitor.*--web": r"http://",
-    r"qdgrasp-monitor.*--json(?!.*--once)": "jobs",
     r"qdgrasp-monitor(?!.*--once)": "",
     r"qdgrasp view": r"http://",
     r"qdgrasp (run|campaign) .*--workers 0": "listening on",
@@ -85,7 +88,7 @@ def reason(text: str) -> str:
 
 def budget(evaluations: int) -> int:
     """A budget that is cut, and in the order of those that were asked for."""
-    return 100 + evaluations // 2500
+    return 60 + evaluations // 2500
 
 
 def cut(text: str, places: dict[str, str]) -> str:

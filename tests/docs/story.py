@@ -84,6 +84,8 @@ class Story:
         self.places = {
             "tcp": tcp,
             "tls": own_endpoint().replace("tcp/", "tls/"),
+            "other": own_endpoint().replace("tcp/", "tls/"),
+            "lab": "lab-7",
             "web": own_endpoint().removeprefix("tcp/"),
             "hostname": socket.gethostname(),
         }
@@ -128,7 +130,7 @@ class Story:
         for place, security in ((self.places["tcp"], ""), (self.places["tls"], "--security security")):
             is_asked = any(re.match(ASKS, text) and place in text for text in texts)
             if is_asked and not any(f"--listen {place}" in text for text in texts):
-                jobs.append(self._start(f"{STANDING}-{place[:3]} --listen {place} {security}"))
+                jobs.append(self._start(f"{STANDING}-{len(self._started)} --listen {place} {security}"))
         for job in jobs:
             job.says(r"listening on(.|\n)* [1-9]\d* workers")
         return jobs
