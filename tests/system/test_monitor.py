@@ -49,7 +49,8 @@ def watch(qdgrasp: Commands, *arguments: object) -> tuple[int, str, str]:
 def running(qdgrasp: Commands) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A run of which some rows are on disk, at an endpoint."""
     endpoint = own_endpoint()
-    command = ("run", *SMALL, "--evaluations", 640, "--batch-size", 10, "--workers", 2, "--out", "run", "--job", "mugs")
+    budget = (*SMALL, "--evaluations", 640, "--batch-size", 10)
+    command = ("run", *budget, "--workers", 2, "--out", "run", "--job", "mugs")
     process = qdgrasp.start(*command, "--listen", endpoint)
     wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20 or process.poll() is not None, "rows")
     assert process.poll() is None, process.communicate()
