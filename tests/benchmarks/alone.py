@@ -17,7 +17,7 @@ from tests.benchmarks.measure import Meter
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.analysis.history import Finds
+from qdgrasp_coordinator.analysis.finds import Finds
 from qdgrasp_coordinator.analysis.target import Targets
 from qdgrasp_coordinator.counts.tally import counted
 from qdgrasp_coordinator.runs.pipeline import Pipeline

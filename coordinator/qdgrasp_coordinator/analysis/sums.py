@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
-from qdgrasp_coordinator.counts.tally import tally
+from qdgrasp_coordinator.counts.counting import tally
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec

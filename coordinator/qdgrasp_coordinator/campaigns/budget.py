@@ -1,6 +1,7 @@
 """The end of a run that has begun: it may be put off, not taken back below what is recorded."""
 
-from qdgrasp_coordinator.counts.tally import Tally, tally
+from qdgrasp_coordinator.counts.counting import tally
+from qdgrasp_coordinator.counts.tally import Tally
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.searches.search import check
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_values

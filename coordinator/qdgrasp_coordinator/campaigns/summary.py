@@ -5,7 +5,7 @@ from msgspec import field, structs
 
 from qdgrasp_coordinator.analysis.diversity import Diversity, diversity, niche_archive
 from qdgrasp_coordinator.analysis.metrics import Eta, Lean, Metrics
-from qdgrasp_coordinator.counts.tally import tally
+from qdgrasp_coordinator.counts.counting import tally
 from qdgrasp_coordinator.counts.totals import Totals, totals
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.trials import trials

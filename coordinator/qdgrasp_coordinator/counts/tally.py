@@ -1,19 +1,15 @@
 """The tally of a run: what its journal's rows add up to, and whether they make it complete."""
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.counts.cells import cells, keys
-from qdgrasp_coordinator.counts.curve import Trail
 from qdgrasp_coordinator.counts.goals import Goals, Pursuit, first
 from qdgrasp_coordinator.counts.whole import taken
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
-from qdgrasp_protocol.trials import trials
 
 BARREN = 20
 """A run ends when so many generations in a row counted nothing,"""
@@ -230,27 +226,3 @@ class Tally:
     def robust(self) -> int:
         """Successes that survived both shakes."""
         return self._from(Outcome.HELD)
-
-
-def tally(spec: RunSpec, blocks: Iterable[Rows], trail: Trail | None = None) -> Tally:
-    """The tally of a journal, in its order, in blocks of any length; and how it came to be."""
-    total = begun(spec)
-    for block in blocks:
-        go_on(total, spec, block, trail)
-    return total
-
-
-def begun(spec: RunSpec) -> Tally:
-    """The tally of a journal that has no rows yet."""
-    return Tally(spec.evaluations, spec.overlaps, trials(spec.protocol), Goals.of(spec))
-
-
-def go_on(total: Tally, spec: RunSpec, block: Rows, trail: Trail | None = None) -> None:
-    """Count the next rows of a journal, and note where each generation ends."""
-    for number in np.unique(block["generation"]):
-        rows = block[block["generation"] == number]
-        total.count(rows)
-        if ((rows["index"] == spec.population - 1) & (rows["trial"] == 0)).any():
-            total.end_generation()
-            if trail is not None:
-                trail.note(total)

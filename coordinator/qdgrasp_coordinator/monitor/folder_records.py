@@ -2,9 +2,9 @@
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.legends import Legends
+from qdgrasp_coordinator.counts.counting import tally
 from qdgrasp_coordinator.counts.curve import Curve, Trail
 from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
-from qdgrasp_coordinator.counts.tally import tally
 from qdgrasp_coordinator.folders import journal_finds
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.monitor.collection import Collection

@@ -4,8 +4,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+from qdgrasp_coordinator.counts.counting import tally
 from qdgrasp_coordinator.counts.stretch import Stretch, from_message
-from qdgrasp_coordinator.counts.tally import tally
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_coordinator.folders.journals import Journals

@@ -12,10 +12,11 @@ import msgspec
 from msgspec.structs import replace
 
 from qdgrasp_coordinator.campaigns.summary import Summary
+from qdgrasp_coordinator.counts.counting import begun, go_on
 from qdgrasp_coordinator.counts.curve import Curve, Trail
 from qdgrasp_coordinator.counts.entry import PAGE, RunEntries, RunEntry
 from qdgrasp_coordinator.counts.figures import from_json, to_json
-from qdgrasp_coordinator.counts.tally import Tally, begun, go_on
+from qdgrasp_coordinator.counts.tally import Tally
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.folders.journal_format import FILE

@@ -12,12 +12,13 @@ from tests.benchmarks.results.row import MILESTONES, Key, Row, key, written
 
 from qdgrasp_coordinator.analysis.diversity import diversity, niche_archive
 from qdgrasp_coordinator.analysis.entries import run_folders
-from qdgrasp_coordinator.analysis.history import Finds
+from qdgrasp_coordinator.analysis.finds import Finds
 from qdgrasp_coordinator.analysis.metrics import Metrics
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.target import Targets
+from qdgrasp_coordinator.counts.counting import tally
 from qdgrasp_coordinator.counts.stretch import Stretch
-from qdgrasp_coordinator.counts.tally import counted, tally
+from qdgrasp_coordinator.counts.tally import counted
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_protocol.outcome import Outcome

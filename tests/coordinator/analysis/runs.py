@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from qdgrasp_coordinator.analysis.diversity import Diversity
-from qdgrasp_coordinator.analysis.history import NU_BINS, History, Steps
+from qdgrasp_coordinator.analysis.history import NU_BINS, History
+from qdgrasp_coordinator.analysis.steps import Steps
 from qdgrasp_coordinator.analysis.target import Target
 from qdgrasp_protocol.spec import RunSpec
 

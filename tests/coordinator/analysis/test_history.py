@@ -9,10 +9,12 @@ from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_coordinator.analysis.coverage import coverage
+from qdgrasp_coordinator.analysis.finds import Finds
 from qdgrasp_coordinator.analysis.growth import growth
-from qdgrasp_coordinator.analysis.history import Finds, History, Steps, has_curves, history
+from qdgrasp_coordinator.analysis.history import History, has_curves, history
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
+from qdgrasp_coordinator.analysis.steps import Steps
 from qdgrasp_coordinator.analysis.target import Target
 from qdgrasp_coordinator.keeping.pruning import prune
 from qdgrasp_protocol.errors import FolderError

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.counts.tally import BARREN, BARREN_GENOMES, Tally, counted, tally
+from qdgrasp_coordinator.counts.counting import tally
+from qdgrasp_coordinator.counts.tally import BARREN, BARREN_GENOMES, Tally, counted
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_protocol.spec import RunSpec

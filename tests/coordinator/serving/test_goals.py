@@ -11,8 +11,9 @@ from tests.coordinator.runs.plans import evaluate as evaluate_finely
 from tests.coordinator.runs.test_pipeline import journal, rows_in
 from tests.coordinator.serving.served import Job
 
+from qdgrasp_coordinator.counts.counting import tally
 from qdgrasp_coordinator.counts.goals import Goals
-from qdgrasp_coordinator.counts.tally import Tally, tally
+from qdgrasp_coordinator.counts.tally import Tally
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
