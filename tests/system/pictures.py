@@ -86,6 +86,7 @@ def take(page: Any, out: Path, moment: str) -> None:
         for theme in ("light", "dark"):
             page.set_viewport_size(size)
             page.emulate_media(color_scheme=theme)
+            page.evaluate("scrollTo(0, 0)")  # what stays in sight while one scrolls is where it belongs
             page.wait_for_timeout(SETTLED)
             save(page.screenshot(full_page=True), out / f"{moment}-{kind}-{theme}.png")
 

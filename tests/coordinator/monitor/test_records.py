@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.coordinator.analysis.test_legends import closing
+from tests.coordinator.analysis.test_legends import run_of as run_of_synergies
 from tests.coordinator.analysis.test_profile import OUTCOMES, run_of
 from tests.coordinator.recorded_runs import random_rows, record
 
+from qdgrasp_coordinator.counts.niches import synergies
 from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.monitor.bus_records import BusRecords
@@ -55,6 +58,17 @@ def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> Non
     assert np.array_equal(page.found["outcome"], expected["outcome"])
     assert np.array_equal(page.found["base_to_object"], expected["base_to_object"])
     assert np.array_equal(ROWS[page.found["number"]]["joints"], page.found["joints"])
+
+
+def test_the_synergy_of_each_success_comes_along(tmp_path: Path, make_scene, network: LocalNetwork) -> None:
+    folder, rows = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
+    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", folder.path):
+        told = [
+            records.page("mug", "run", 0).found["synergy"].tolist()
+            for records in (FolderRecords(Collection([folder.path])), BusRecords(ours))
+        ]
+    assert told[0] == told[1] == synergies(folder.scene(), "spherical").labels(rows["genome"]).tolist()
+    assert len(set(told[0])) == 3
 
 
 @pytest.mark.parametrize("first", [1, 150, 299])

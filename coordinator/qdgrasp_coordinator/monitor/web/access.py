@@ -37,9 +37,9 @@ SAFE = {
 """Headers of every answer: nothing comes from elsewhere, and nothing elsewhere holds this page."""
 DOOR = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>qdgrasp monitor: token</title><link rel="stylesheet" href="/static/style.css">
+<title>qdgrasp: token</title><link rel="stylesheet" href="/static/style.css">
 <body class="door"><main><h1>qdgrasp</h1><form method="get" action="/">
-<label for="token">Token that <code>qdgrasp-monitor</code> printed</label>
+<label for="token">Token that was printed with the address</label>
 <input id="token" name="token" type="password" autocomplete="current-password" required autofocus>
 <button>Open</button></form></main></body></html>
 """

@@ -25,7 +25,7 @@ COLUMNS = ("number", "eta", "cell", "synergy", "outcome")
 MOST = 1 << 16
 """The most voxels on a page: about 1 MiB."""
 LARGEST = 1 << 18
-"""The most voxels that are kept: 9 MiB. Finds in still more cells are left out."""
+"""The most voxels that are kept: 7 MiB. Finds in still more cells are left out."""
 FARTHEST = np.iinfo(np.int16).max
 """Cells: what lies farther out than 300 m is no find."""
 VOXEL = np.dtype(
