@@ -95,7 +95,8 @@ def seeds() -> dict[str, bytes]:
     rows = SHAPE.empty(ROWS)
     for column in COLUMNS:
         rows[column.name] = np.arange(rows[column.name].size).reshape(rows[column.name].shape) % 3
-    drawn = found.found(rows, np.arange(ROWS), SHAPE.joints)
+    number = np.arange(ROWS)
+    drawn = found.found(rows, SHAPE.joints, number=number, synergy=number - 1, eta=number / ROWS)
     known = {
         messages.Work: {"columns": pack(rows, LEASED)},
         messages.Result: {
