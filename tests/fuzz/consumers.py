@@ -129,6 +129,8 @@ def _value(kind: Any) -> Any:
     match kind:
         case msgspec.inspect.StructType(cls=cls, fields=fields):
             return cls(**{field.name: _value(field.type) for field in fields})
+        case msgspec.inspect.UnionType(types=types):
+            return _value(next(each for each in types if not isinstance(each, msgspec.inspect.NoneType)))
         case msgspec.inspect.ListType(item_type=item):
             return [_value(item)]
         case msgspec.inspect.DictType(value_type=value):
