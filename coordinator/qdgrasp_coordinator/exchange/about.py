@@ -122,7 +122,7 @@ def about(folder: RunFolder, grasps: Grasps, frame: Frame) -> About:
         gripper_licence=hand.licence,
         object=body.name,
         object_file=Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else "",
-        object_scale=scale(grasps.spec),
+        object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
         object_frame=OBJECT_FRAMES[frame],
         frame=frame,
         object_com=(0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh,
@@ -138,12 +138,6 @@ def about(folder: RunFolder, grasps: Grasps, frame: Frame) -> About:
         scene=bundle,
         runs=runs,
     )
-
-
-def scale(spec: RunSpec) -> float:
-    """What the lengths in an object's mesh file are multiplied by to be metres."""
-    asked: float | None = getattr(spec, "scale", None)
-    return 1.0 if asked is None else asked
 
 
 def _confidence(scene: Scene) -> str:

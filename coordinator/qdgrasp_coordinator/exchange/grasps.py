@@ -7,7 +7,7 @@ one that held the object.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,9 +59,9 @@ class Grasp(NamedTuple):
     """0 to 1."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grasps:
-    """Evaluations of one scene, as arrays of n lines; an index or a mask takes some of them."""
+    """Evaluations of one scene, as arrays of n lines; a number takes one, a slice, mask or array several."""
 
     scene: Scene
     spec: RunSpec
@@ -80,7 +80,15 @@ class Grasps:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __getitem__(self, places: Places) -> "Grasps":
+    @overload
+    def __getitem__(self, places: int) -> Grasp: ...
+
+    @overload
+    def __getitem__(self, places: Places) -> "Grasps": ...
+
+    def __getitem__(self, places: int | Places) -> "Grasp | Grasps":
+        if isinstance(places, int | np.integer):
+            return self._grasp(places)
         return Grasps(
             self.scene,
             self.spec,
@@ -92,20 +100,26 @@ class Grasps:
         )
 
     def __iter__(self) -> Iterator[Grasp]:
-        poses, confidence, names = self.poses(), self.confidence, (*self.synergy_names, "")
-        for i, row in enumerate(self.rows):
-            yield Grasp(
-                number=int(self.numbers[i]),
-                position=poses[i, :3],
-                quaternion_xyzw=poses[i, 3:],
-                joints=row["joints"],
-                pregrasp=self.pregrasp[i],
-                synergy=names[self.synergies[i]],
-                outcome=Outcome(row["outcome"]),
-                fitness=float(row["fitness"]),
-                eta=float(self.eta[i]),
-                confidence=float(confidence[i]),
-            )
+        return map(self._grasp, range(len(self)))
+
+    def _grasp(self, place: int) -> Grasp:
+        row, names = self.rows[place], (*self.synergy_names, "")
+        return Grasp(
+            number=int(self.numbers[place]),
+            position=self._in_mesh[place, :3],
+            quaternion_xyzw=self._in_mesh[place, 3:],
+            joints=row["joints"],
+            pregrasp=self.pregrasp[place],
+            synergy=names[self.synergies[place]],
+            outcome=Outcome(row["outcome"]),
+            fitness=float(row["fitness"]),
+            eta=float(self.eta[place]),
+            confidence=float(self.confidence[place]),
+        )
+
+    @cached_property
+    def _in_mesh(self) -> Floats:
+        return self.poses(MESH)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -141,7 +155,7 @@ class Grasps:
         found: NDArray[np.bool_] = self.rows["outcome"] >= Outcome.SHAKEN
         return found
 
-    @property
+    @cached_property
     def confidence(self) -> Floats:
         """(n,), 0 to 1, higher is better: eta where it is known, elsewhere the share of shakes survived."""
         return np.where(np.isnan(self.eta), self.fitness / SHAKES, self.eta)

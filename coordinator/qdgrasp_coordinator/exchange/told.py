@@ -90,9 +90,9 @@ def check(path: Path, told: Told) -> None:
     """
     if not len(told):
         raise Unusable(path, "there is none in it")
-    finite: NDArray[np.bool_] = np.isfinite(told.poses).all(axis=1)
+    finite = np.asarray(np.isfinite(told.poses).all(axis=1))
     _check_each(path, told, finite, "its pose holds a number that is not finite")
-    lengths: Floats = np.linalg.norm(told.poses[:, 3:], axis=1)
+    lengths = np.linalg.norm(told.poses[:, 3:], axis=1)
     unit = np.asarray(np.abs(lengths - 1.0) <= OFF_UNIT)
     wrong = lengths[~unit][0] if not unit.all() else 1.0
     _check_each(path, told, unit, f"its quaternion must be of length 1, and is of length {wrong:.4g}")

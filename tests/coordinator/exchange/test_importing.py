@@ -134,7 +134,8 @@ def test_another_scale_is_pointed_out(panda, tmp_path: Path) -> None:
         file["object/scale"][()] = 0.5
     (note,) = panda(tmp_path / "f.h5").notes
     assert note == (
-        "The file scales its mesh by 0.5, and here it is scaled by 1: if it is the same mesh, add --scale 0.5."
+        "The file scales its mesh by 0.5, and here it is scaled by 1: "
+        "if it is the same mesh, add --scale 0.5."
     )
 
 
