@@ -58,9 +58,38 @@ def convex_parts(
     AssetError
         CoACD failed, or found nothing in time; or the parts cannot be kept.
     """
-    at_hand = parts_at_hand(mesh)
-    if at_hand is not None:
-        return at_hand
+    return collision_parts(mesh, name, time_limit, tell)[1]
+
+
+def collision_parts(
+    mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = quietly
+) -> tuple[str, tuple[Mesh, ...]]:
+    """Where the convex parts of a mesh come from, "own hull" or "coacd", and the parts of `convex_parts`."""
+    known = _known(mesh)
+    if known is None and is_convex(mesh):
+        return "own hull", (_own(mesh),)
+    return "coacd", _found(mesh, name, time_limit, tell) if known is None else known
+
+
+def parts_at_hand(mesh: Mesh) -> tuple[Mesh, ...] | None:
+    """What `convex_parts` gives, where that takes no time; None where CoACD has not run yet."""
+    known = _known(mesh)
+    return (_own(mesh),) if known is None and is_convex(mesh) else known
+
+
+def _known(mesh: Mesh) -> tuple[Mesh, ...] | None:
+    """What CoACD found before; None: it has not run."""
+    cached = _cached(mesh)
+    return read_parts(cached) if cached.is_file() else _unfinished.get(_key(mesh))
+
+
+def _own(mesh: Mesh) -> Mesh:
+    """The hull of a mesh that is convex."""
+    return simple(hull(mesh.vertices))
+
+
+def _found(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[Mesh, ...]:
+    """What CoACD finds, kept for the next time."""
     log.warning(
         "Decomposing '%s' (%d triangles) into convex parts, once; this takes up to a few minutes.",
         name,
@@ -73,21 +102,6 @@ def convex_parts(
         return _unfinished.setdefault(_key(mesh), parts)
     _keep(parts, cached, name)
     return read_parts(cached)
-
-
-def collision_parts(
-    mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = quietly
-) -> tuple[str, tuple[Mesh, ...]]:
-    """Where the convex parts of a mesh come from, "own hull" or "coacd", and the parts of `convex_parts`."""
-    return "own hull" if is_convex(mesh) else "coacd", convex_parts(mesh, name, time_limit, tell)
-
-
-def parts_at_hand(mesh: Mesh) -> tuple[Mesh, ...] | None:
-    """What `convex_parts` gives, where that takes no time; None where CoACD has not run yet."""
-    if is_convex(mesh):
-        return (simple(hull(mesh.vertices)),)
-    cached = _cached(mesh)
-    return read_parts(cached) if cached.is_file() else _unfinished.get(_key(mesh))
 
 
 def is_convex(mesh: Mesh) -> bool:

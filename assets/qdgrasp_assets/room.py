@@ -28,6 +28,8 @@ OUT = 1e-5
 """So far in front of the surface it is looked whether that is inside [m]."""
 FEW = 1e-3
 """A smaller share of the surface that seems to be inside is rounding."""
+PAIRS = 1 << 26
+"""Pairs of point and face that are compared at once: half a gigabyte."""
 MOST = 0.01
 """Of the surface; the eye of a mug's handle, filled, is 2 %."""
 
@@ -86,5 +88,8 @@ def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
     """Which of the points (n, 3) are in a convex part or, by its planes, within `margin` of it [m]: (n,)."""
     low, high = part.bounds
     within: NDArray[np.bool_] = np.all((points >= low - margin) & (points <= high + margin), axis=1)
-    within[within] = (heights(part, points[within]) <= margin).all(axis=1)
+    near = points[within]
+    rows = max(1, PAIRS // len(part.faces))
+    blocks = [near[start : start + rows] for start in range(0, len(near), rows)] or [near]
+    within[within] = np.concatenate([(heights(part, block) <= margin).all(axis=1) for block in blocks])
     return within

@@ -11,7 +11,7 @@ from qdgrasp_assets.units import LARGEST, SMALLEST, advice
 
 FLATTEST = 1e-12
 """A closed mesh with less volume has no inside [m3]."""
-MOST = 1_000_000
+MOST = 500_000
 """Triangles of an object, at most: they travel to every worker, and are looked at one by one."""
 
 Numbers = NDArray[np.int64]
