@@ -221,7 +221,7 @@ def test_a_job_that_nobody_carries_out_has_no_workers(look: Look) -> None:
     feed.step(time.time() - 40)
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")
-        expect(page.locator("#workers-words")).to_have_text("nobody works: the job is without a coordinator")
+        expect(page.locator("#workers-words")).to_have_text("nobody works: the job has no coordinator")
         expect(page.locator("#workers tbody tr")).to_have_count(0)
         expect(figure(page, "Workers")).to_have_text("0")
 
@@ -235,7 +235,7 @@ def test_of_a_router_that_went_with_its_jobs_nothing_is_said(look: Look) -> None
         page = look(f"{place}/#job=mug")
         expect(page.locator("#state")).to_contain_text("ended")
         expect(page.locator("#link")).to_have_text("all is over")
-        expect(page.locator("#workers-words")).to_have_text("nobody works: the job is ended")
+        expect(page.locator("#workers-words")).to_have_text("nobody works: the job has ended")
 
 
 def test_workers_are_sorted_by_the_column_that_was_chosen(look: Look, place: str) -> None:

@@ -1,5 +1,7 @@
 """The view in 3D in a browser: on the page, and alone."""
 
+import re
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 from tests import browser
 from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import FakeFeed
+from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed
 from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
 from tests.coordinator.scenes import made_scene
 
@@ -119,6 +121,18 @@ def test_what_is_found_while_one_looks_appears(page: Page, records: HandMadeReco
     records.record(finds([12, 13], [(0, 0, 9), (0, -9, 3)], [Outcome.HELD] * 2))  # one is in a known cell
     expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
     assert page.locator("#scene-key li b").all_inner_texts() == ["0", "1", "4"]
+
+
+def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRecords) -> None:
+    feed = FakeFeed()
+    feed.steps = BUDGET // STEP
+    feed.step(time.time() - 40)
+    with serving(feed, free_port(), library=Exhibits(records)) as address:
+        for page in visited(chromium, f"{address}/#job=mug"):
+            expect(page.locator("#state")).to_contain_text("ended")
+            expect(page.locator("#scene-words")).to_have_text(
+                re.compile("^4 cells of 1 cm; .* more are in the run's folder: qdgrasp view$")
+            )
 
 
 def test_another_job_of_the_same_name_is_shown_with_its_own_object(

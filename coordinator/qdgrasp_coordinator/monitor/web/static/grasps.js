@@ -4,11 +4,14 @@ import { say } from "./element.js";
 import { Card } from "./scene/card.js";
 import { Filters } from "./scene/filters.js";
 import { Key } from "./scene/key.js";
+import { OVER, several } from "./words.js";
 
 export class Grasps {
   #view = null;
   #shown = "";
   #number = 0;
+  #said = "";
+  #unread = () => 0; // cells that were found and are not shown
 
   constructor(find, api) {
     this.api = api;
@@ -25,6 +28,8 @@ export class Grasps {
   show(job, run) {
     const one = run ?? job.runs.find(({ finished }) => !finished) ?? job.runs.at(-1);
     this.look(job.job, one?.run, job.figures.runs > 1);
+    this.#unread = () => (OVER.includes(job.state) ? one.cells - this.#view.cells.size : 0);
+    this.#say();
   }
 
   /** Show a run, and its name where `named`; without one: none. */
@@ -49,13 +54,20 @@ export class Grasps {
       this.#veil("");
       this.#view = new SceneView(this.canvas, this.api, job, run);
       this.#view.onselect = (grasp) => this.card.show(grasp);
-      this.#view.onstatus = (words) => say(this.words, words);
+      this.#view.onstatus = (words) => this.#say(words);
       this.#view.onchange = () => [this.key, this.filters].forEach((part) => part.show());
       this.#steer(this.#view);
       this.#view.start();
     } catch (error) {
       this.#veil(`The view in 3D cannot be drawn here: ${error.message}. The rest of the page does without it.`);
     }
+  }
+
+  /** Say what is shown, and what is not: a recorder may have left before it was asked for the last finds. */
+  #say(words = this.#said) {
+    this.#said = words;
+    const unread = this.#view?.cast ? this.#unread() : 0;
+    say(this.words, unread > 0 ? `${words}; ${several(unread, "more is", "more are")} in the run's folder: qdgrasp view` : words);
   }
 
   #steer(view) {

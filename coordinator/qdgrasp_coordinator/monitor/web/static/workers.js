@@ -2,8 +2,9 @@
 
 import { say } from "./element.js";
 import { Table } from "./table.js";
-import { ago, bytes, count, OVER, rate, several, span } from "./words.js";
+import { ago, bytes, count, rate, several, span } from "./words.js";
 
+const NOBODY = { gone: "the job has no coordinator", ended: "the job has ended", cancelled: "the job was cancelled" };
 const STATES = ["working", "idle", "stuck", "leaving", "unknown", "gone"];
 const COLUMNS = [
   { name: "host", title: "Host", value: ({ host, pid }) => `${host} ${pid}`, words: ({ host, pid }) => `${host} ${pid}` },
@@ -27,7 +28,7 @@ export class Workers {
   }
 
   show({ state, silent, team }) {
-    if (OVER.includes(state)) return this.#say(`nobody works: the job is ${state === "gone" ? "without a coordinator" : state}`, []);
+    if (state in NOBODY) return this.#say(`nobody works: ${NOBODY[state]}`, []);
     if (state === "silent") return this.#say(`nobody tells of them for ${span(silent)}`, team.workers.map((worker) => unheard(worker, silent)));
     const states = STATES.filter((state) => team.states[state]).map((state) => `${count(team.states[state])} ${state}`);
     const unlisted = team.total - team.workers.length;

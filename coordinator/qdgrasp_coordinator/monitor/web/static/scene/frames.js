@@ -6,6 +6,7 @@ import { made, put } from "./axes.js";
 const NAMES = ["x", "y", "z"];
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 const ARM = 0.04; // m
+const LETTER = 6.8; // px: about as wide as one
 const SAME = 1e-6; // m: nearer than that the mesh file's frame is the object's
 
 export class Frames {
@@ -41,7 +42,8 @@ export class Frames {
         put(line, { x1: from[0], y1: from[1], x2: tips[k][0], y2: tips[k][1] });
         put(letter, { x: from[0] + 1.2 * (tips[k][0] - from[0]), y: from[1] + 1.2 * (tips[k][1] - from[1]) + 4 });
       });
-      const side = Math.sign(from[0] - (tips[0][0] + tips[1][0] + tips[2][0]) / 3) || 1; // away from the arms
+      const away = from[0] < (tips[0][0] + tips[1][0] + tips[2][0]) / 3 ? -1 : 1; // from the arms
+      const end = from[0] + away * (8 + LETTER * name.textContent.length), side = end > 0 && end < lens.width ? away : -away;
       put(name, { x: from[0] + 8 * side, y: from[1] + 16 });
       name.setAttribute("text-anchor", side < 0 ? "end" : "start");
     }
