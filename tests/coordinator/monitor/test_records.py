@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from tests.coordinator.analysis.test_legends import closing
 from tests.coordinator.analysis.test_legends import run_of as run_of_synergies
 from tests.coordinator.analysis.test_profile import OUTCOMES, run_of
 from tests.coordinator.recorded_runs import random_rows, record
 
+from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.counts.niches import synergies
 from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -139,6 +142,14 @@ def test_the_command_that_is_shown_prints_the_grasp(
 )
 def test_a_command_is_one_line_that_says_on_which_machine(place: Place, command: str) -> None:
     assert place.commands(7)[0] == command
+
+
+def test_the_commands_that_are_shown_are_commands() -> None:
+    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    for command in Place("runs/my mug").commands(7):
+        program, name, *rest = shlex.split(command)
+        given = known[name].make_context(name, rest).params
+        assert (program, given["directory"], given["grasp"]) == ("qdgrasp", Path("runs/my mug"), 7)
 
 
 def test_what_is_not_there_is_refused(records: Records) -> None:

@@ -37,7 +37,7 @@ class Library(Protocol):
         """
 
     def cells(self, job: str, run: str, since: int) -> bytes:
-        """The cells of a run that changed after its version `since`, packed as `voxels` says.
+        """The voxels of a run with the serial `since` or a later one, packed as `voxels` says.
 
         Raises
         ------
