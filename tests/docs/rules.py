@@ -19,10 +19,12 @@ ELSEWHERE = {
 """What is not run, as a pattern of a line's beginning, and why. Lines of ours are parsed all the same."""
 
 LONG = re.compile(
-    r"qdgrasp (bench|campaign|analyse|rerank|verify|security check)"
-    r"|qdgrasp-(router|coordinator|recorder|worker)"
-    r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0)"
+    r"qdgrasp (bench|campaign|analyse|rerank|verify|security check|jobs|pause|continue|drain|cancel)"
+    r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
+    r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
+    r"|qdgrasp resume .*--evaluations"
     r"|python examples/own_"
+    r"|curl "
 )
 """What takes longer than the others: `make test-docs` and `make test-slow` run it, `make test` does not."""
 
@@ -38,6 +40,7 @@ CUTS: tuple[tuple[str, str], ...] = (
     (r"--pin --grace \d+", "--pin --grace 1"),
     (r"^qdgrasp bench", "qdgrasp bench --seconds 0.2"),
     (r"ycb_mug", "mug"),
+    (r"security init security --host router", "security init for-containers --host 127.0.0.1"),
     (r"^(qdgrasp security add security \w+ (\S+))", r"\1 --host 127.0.0.1 && cp -r security/\2 \2"),
     (r"--security lab-7", "--security {lab}"),
     (r"--workers 0 --listen tls/0\.0\.0\.0:7448", "--workers 1 --listen {other}"),
