@@ -133,4 +133,4 @@ def _check(death: Death, crew: Crew) -> None:
 
 def _read(folder: Path) -> Replay:
     answer = msgspec.json.decode((folder / ANSWER).read_bytes(), type=Answer)
-    return Replay(answer, np.load(folder / FRAMES, mmap_mode="r"))
+    return Replay(answer, np.load(folder / FRAMES, mmap_mode="r", allow_pickle=False))
