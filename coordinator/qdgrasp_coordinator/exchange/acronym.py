@@ -17,7 +17,7 @@ from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.body import Body, body
 from qdgrasp_coordinator.exchange.frames import from_matrices
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.jaw import in_gripper, transforms, turned_about
+from qdgrasp_coordinator.exchange.jaw import transforms, turned_about
 from qdgrasp_coordinator.exchange.told import (
     MOST,
     Told,
@@ -68,7 +68,7 @@ def _object(about: About, thing: Body) -> dict[str, object]:
 def _grasps(grasps: Grasps, about: About) -> dict[str, Any]:
     return {
         TRANSFORMS: transforms(grasps, about),
-        SUCCESSES: in_gripper(grasps).astype(np.int8),
+        SUCCESSES: grasps.is_grasp.astype(np.int8),
         CONFIDENCE: grasps.confidence,
         "grasps/joint_positions": grasps.joints,
         STARTS: grasps.pregrasp,

@@ -22,7 +22,7 @@ from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.body import body
 from qdgrasp_coordinator.exchange.frames import from_matrices, jaw_turn
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.jaw import in_gripper, transforms, turned_about
+from qdgrasp_coordinator.exchange.jaw import transforms, turned_about
 from qdgrasp_coordinator.exchange.told import Told, Unusable, check_matrices, decoded, to_array
 
 INDEX = "map_uuid_to_path.json"
@@ -57,7 +57,7 @@ def _values(name: str, grasps: Grasps, about: About) -> dict[str, Any]:
         "object": {"file": name, "scale": 1.0},
         "grasps": {
             "transforms": transforms(grasps, about).tolist(),
-            "object_in_gripper": in_gripper(grasps).tolist(),
+            "object_in_gripper": grasps.is_grasp.tolist(),
         },
         "qdgrasp": said.values
         | {

@@ -1,11 +1,8 @@
-"""Grasps as data sets of parallel jaws tell them: matrices of axes with +z forward and x across, and bits.
+"""Grasps as data sets of parallel jaws tell them: matrices of axes with +z forward and x across.
 
 ACRONYM and GraspGen share these. The origin stays that of the hand's root link; its axes are turned so that
 +z points to the object and the fingers open along x (`frames.jaw_turn`), for the Panda by 90 degrees about z.
 """
-
-import numpy as np
-from numpy.typing import NDArray
 
 from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
@@ -19,11 +16,6 @@ MATRICES = "none: rotations are matrices, columns are the axes of the hand"
 def transforms(grasps: Grasps, about: About) -> Floats:
     """(n, 4, 4): where the turned axes are in the object's frame [m]."""
     return to_matrices(turned(grasps.poses(about.frame), jaw_turn(grasps.scene.gripper)))
-
-
-def in_gripper(grasps: Grasps) -> NDArray[np.bool_]:
-    """(n,): whether each is a grasp, fitness 1 or more."""
-    return grasps.is_grasp
 
 
 def turned_about(about: About, gripper: SceneGripper) -> About:
