@@ -43,6 +43,13 @@ def test_every_package_that_a_run_needs_stands_in_the_notices() -> None:
     assert noticed == names
 
 
+def test_every_package_that_tests_need_stands_in_the_notices() -> None:
+    extra = tomllib.loads(read("pyproject.toml"))["project"]["optional-dependencies"]["dev"]
+    names = {re.split(r"[<>=!~ \[;]", requirement)[0] for requirement in extra}
+    told = read("THIRD_PARTY_NOTICES.md").partition("## Packages for tests")[2]
+    assert {name for name in names if not re.search(rf"\b{re.escape(name)} \(", told)} == set()
+
+
 def test_the_readme_shows_commands_that_exist() -> None:
     commands = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
     shown = set(re.findall(r"^qdgrasp (\w+)", read("README.md"), re.MULTILINE))

@@ -15,10 +15,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from qdgrasp.evaluations import Evaluations, evaluate
+    from qdgrasp.evaluations import Evaluations
     from qdgrasp.optimising import Search, optimise
     from qdgrasp.places import Place
     from qdgrasp.runs import Run, open  # noqa: A004 - said as qdgrasp.open
+    from qdgrasp.scoring import evaluate
     from qdgrasp.serving import serve
     from qdgrasp_assets.scene import Scene
     from qdgrasp_coordinator.exchange.grasps import Grasp, Grasps
@@ -46,7 +47,7 @@ HOMES = {
     "Scene": "qdgrasp_assets.scene",
     "Search": "qdgrasp.optimising",
     "Verdicts": "qdgrasp_worker.serving.candidates",
-    "evaluate": "qdgrasp.evaluations",
+    "evaluate": "qdgrasp.scoring",
     "open": "qdgrasp.runs",
     "optimise": "qdgrasp.optimising",
     "serve": "qdgrasp.serving",

@@ -1,24 +1,21 @@
-"""Evaluations: rows of genomes, whenever a program wants some, and scores of hand poses."""
+"""Evaluations: rows of genomes, whenever a program wants some."""
 
 import signal
 import tempfile
 import threading
-from concurrent.futures import Future, wait
+from concurrent.futures import wait
 from contextlib import ExitStack
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Self, Unpack
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qdgrasp.genomes import checked, layout_of
+from qdgrasp.lots import Lot, Lots
 from qdgrasp.places import HERE, Place, Quiet, Stage, opened
 from qdgrasp.scenery import Scenery, spec_of
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
-from qdgrasp_coordinator.campaigns.programme import Extent
-from qdgrasp_coordinator.counts.poses import Poses, scores
 from qdgrasp_coordinator.counts.scores import sums
 from qdgrasp_coordinator.folders.job_folder import RUN
 from qdgrasp_coordinator.runs.assignment import Assignment
@@ -27,8 +24,8 @@ from qdgrasp_coordinator.runs.preparation import scene_shape
 from qdgrasp_coordinator.searches.given import Given
 from qdgrasp_coordinator.serving.record import Memory
 from qdgrasp_coordinator.serving.service import CoordinatorService
-from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue, InputError
-from qdgrasp_protocol.genome import GIVEN, NO_SYNERGY, Genomes
+from qdgrasp_protocol.errors import EndedEarly, InputError
+from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import to_toml
@@ -36,46 +33,6 @@ from qdgrasp_protocol.trials import trials
 
 GENERATION = 4096
 """Genomes that are handed out before the first result is waited for."""
-SHORTEST = 1e-6
-"""Quaternions that are shorter name no rotation."""
-
-
-class Lot:
-    """Genomes that were asked for together, and what becomes of them."""
-
-    def __init__(self, assignment: Assignment) -> None:
-        self.assignment = assignment
-        self.memory = Memory(assignment.shape)
-        self.rows: Future[Rows] = Future()
-        """Rows as in a journal, trials too."""
-
-    def look(self) -> None:
-        """See whether all of them are there."""
-        if self.assignment.pipeline.finished is not None and not self.rows.done():
-            self.rows.set_result(self.memory.rows)
-
-
-class Lots:
-    """A programme whose runs are made as somebody asks for them, one after the other, until it is closed."""
-
-    def __init__(self) -> None:
-        self.extent = Extent.of({})
-        self._waiting: SimpleQueue[Assignment | None] = SimpleQueue()
-
-    def put(self, assignment: Assignment) -> None:
-        """Have it carried out."""
-        self._waiting.put(assignment)
-
-    def close(self) -> None:
-        """Ask for no more."""
-        self._waiting.put(None)
-
-    def next(self) -> Assignment | None:
-        """The next one, waited for; None when there will be none."""
-        return self._waiting.get()
-
-    def put_back(self, run: str) -> None:
-        """What is kept in memory loses nothing."""
 
 
 class Evaluations:
@@ -241,81 +198,3 @@ class Evaluations:
     def _leave(self) -> None:
         self._stop.set(signal.SIGTERM)
         self._lots.close()
-
-
-def evaluate(
-    positions: ArrayLike,
-    quaternions_xyzw: ArrayLike,
-    *,
-    synergies: ArrayLike | None = None,
-    spreads: ArrayLike | None = None,
-    place: Place = HERE,
-    **scenery: Unpack[Scenery],
-) -> dict[str, NDArray[np.generic]]:
-    """Score hand poses; what `qdgrasp evaluate` does, for arrays.
-
-    Parameters
-    ----------
-    positions
-        (n, 3) [m]: of the hand's root link, in the object's centre-of-mass frame.
-    quaternions_xyzw
-        (n, 4): of the same; brought to length one.
-    synergies
-        (n,): labels of the synergies that close, -1 for none; None: none.
-    spreads
-        (n, k): positions of the free joints [rad], NaN for open; None: open.
-    place
-        Where it is done.
-    **scenery
-        `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
-
-    Returns
-    -------
-    scores
-        Arrays of n by name: `valid`, `touched`, `success` (bool), `fitness` (0 to 2), `outcome` (`Outcome`),
-        `base_position`, `base_quaternion_xyzw`, `joints` (n, j), `contacts`, `penetration` [m]; with a
-        protocol that has trials also `eta`.
-
-    Raises
-    ------
-    InputError
-        A name that is not known, a value that cannot be, or a file that cannot be used.
-
-    Examples
-    --------
-    >>> scores = qdgrasp.evaluate([[0.0, 0.0, 0.15]], [[1.0, 0.0, 0.0, 0.0]], gripper="panda", object="mug")
-    >>> scores["success"], scores["fitness"]
-    (array([ True]), array([2], dtype=uint8))
-    """
-    poses = _poses(positions, quaternions_xyzw, synergies, spreads)
-    if not len(poses):
-        raise InputError("There are no poses to score.")
-    with Evaluations(prior=GIVEN, place=place, **scenery) as evaluations:
-        rows = evaluations.journal(poses.genomes(evaluations.scene))
-    return scores(rows, trials(evaluations.spec.protocol))
-
-
-def _poses(
-    positions: ArrayLike, quaternions: ArrayLike, synergies: ArrayLike | None, spreads: ArrayLike | None
-) -> Poses:
-    places = _array("positions", positions, (None, 3))
-    n = len(places)
-    turns = _array("quaternions_xyzw", quaternions, (n, 4))
-    if (np.linalg.norm(turns, axis=1) < SHORTEST).any():
-        raise ImpossibleValue("quaternions_xyzw", "one of length zero", "rotations")
-    labels = np.full(n, NO_SYNERGY) if synergies is None else _array("synergies", synergies, (n,))
-    free = np.full((n, 0), np.nan) if spreads is None else np.asarray(spreads, dtype=np.float64)
-    if free.ndim != 2 or len(free) != n or np.isinf(free).any():
-        raise ImpossibleValue("spreads", free.shape, f"numbers of shape ({n}, k)")
-    return Poses(places, turns, labels.astype(np.int64), free)
-
-
-def _array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
-    fits = len(array.shape) == len(shape) and all(
-        wanted in (None, came) for wanted, came in zip(shape, array.shape, strict=True)
-    )
-    if not fits or not np.isfinite(array).all():
-        expected = ", ".join("n" if wanted is None else str(wanted) for wanted in shape)
-        raise ImpossibleValue(name, array.shape, f"finite numbers of shape ({expected})")
-    return array
