@@ -25,7 +25,9 @@ def view(
     web: Annotated[
         str,
         typer.Option(
-            metavar="HOST:PORT", help="Serve the page there; default: on loopback, at a port that is free."
+            metavar="HOST:PORT",
+            show_default=False,
+            help="Serve the page there; default: on loopback, at a port that is free.",
         ),
     ] = HERE,
     no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,

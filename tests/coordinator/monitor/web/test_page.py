@@ -229,7 +229,7 @@ def test_a_job_that_nobody_carries_out_has_no_workers(look: Look) -> None:
 def test_of_a_router_that_went_with_its_jobs_nothing_is_said(look: Look) -> None:
     feed = FakeFeed()
     feed.steps = BUDGET // STEP
-    feed.step(time.time() - 40)
+    feed.step()
     feed.jobs.linked(False, time.time())
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")

@@ -9,10 +9,10 @@ import { Grasps } from "./grasps.js";
 import { JobList } from "./joblist.js";
 import { Link } from "./link.js";
 import { Outcomes } from "./outcomes.js";
+import { OVER, settled } from "./over.js";
 import { Runs } from "./runs.js";
 import { Stream } from "./stream.js";
 import { Summary } from "./summary.js";
-import { OVER } from "./words.js";
 import { Workers } from "./workers.js";
 
 const API = "api";
@@ -45,7 +45,7 @@ function show() {
 }
 
 function heard(told) {
-  state = told;
+  state = { ...told, jobs: told.jobs.map(settled) };
   show();
 }
 

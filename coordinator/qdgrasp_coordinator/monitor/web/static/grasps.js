@@ -1,10 +1,11 @@
 // Grasps: the view in 3D of what a run has found, and all that is known of the grasp that somebody chose in it.
 
 import { say } from "./element.js";
+import { OVER } from "./over.js";
 import { Card } from "./scene/card.js";
 import { Filters } from "./scene/filters.js";
 import { Key } from "./scene/key.js";
-import { OVER, several } from "./words.js";
+import { several } from "./words.js";
 
 export class Grasps {
   #view = null;

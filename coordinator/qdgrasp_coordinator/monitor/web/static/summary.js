@@ -2,7 +2,8 @@
 
 import { element, keyed, put, say } from "./element.js";
 import { extent } from "./extent.js";
-import { ago, count, OVER, percent, rate, several, short, span } from "./words.js";
+import { OVER } from "./over.js";
+import { ago, count, percent, rate, several, short, span } from "./words.js";
 
 const STARTING = "starting: no recorder has answered yet";
 

@@ -1,7 +1,5 @@
 // Words: numbers, times and sizes as a person reads them.
 
-/** The states of a job that nobody carries out. */
-export const OVER = ["gone", "ended", "cancelled"];
 const THIN = "\u202f";
 const counts = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
 const clock = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false });
