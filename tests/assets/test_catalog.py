@@ -88,6 +88,26 @@ def test_a_mesh_file_is_an_object_around_its_centre_of_mass(tmp_path):
         assert np.abs(vertices).max(axis=0) == pytest.approx((0.01, 0.01, 0.05), abs=1e-6)
 
 
+def test_a_scale_is_that_of_the_mesh_file_and_told_by_the_scene(tmp_path):
+    path = tmp_path / "bar.stl"
+    trimesh.creation.box((20, 20, 100)).apply_translation((300, 100, 50)).export(path)
+    made = scene(object=str(path), mass=0.3, scale=0.001)
+    assert made.object.source == "bar.stl (scale 0.001)"
+    assert made.object.com_in_mesh == pytest.approx((0.3, 0.1, 0.05), abs=1e-6)
+    assert made.object_high == pytest.approx((0.01, 0.01, 0.05), abs=1e-6)
+    same = tmp_path / "metres" / "bar.stl"
+    same.parent.mkdir()
+    trimesh.creation.box((0.02, 0.02, 0.1)).export(same)
+    assert scene(object=str(same), mass=0.3).object.source == "bar.stl"
+
+
+def test_an_object_of_the_catalog_has_its_own_size():
+    with pytest.raises(
+        AssetError, match=r"'mug' of the catalog has its own size: leave --scale and --units out"
+    ):
+        scene(object="mug", scale=0.5)
+
+
 def test_a_mesh_file_needs_a_mass(tmp_path):
     path = tmp_path / "bar.stl"
     trimesh.creation.box((0.02, 0.02, 0.1)).export(path)

@@ -16,6 +16,7 @@ SPECS = st.builds(
     gripper=st.text(),
     object=st.text(),
     mass=st.none() | st.floats(max_value=1000, **POSITIVE),
+    scale=st.none() | st.floats(max_value=1_000_000, **POSITIVE),
     friction=st.none() | st.floats(max_value=10, **POSITIVE),
     method=st.text(),
     protocol=st.sampled_from(get_args(ProtocolName)),
@@ -42,6 +43,11 @@ def test_gripper_and_object_are_enough_and_all_but_the_method_is_as_in_the_paper
     assert (spec.evaluations, spec.seed, spec.population) == (10_000, 0, 500)
     assert (spec.mutation_sigma, spec.mutation_probability) == (0.1, 0.3)
     assert (spec.method, spec.protocol, spec.overlaps) == ("aimed", "paper", "count")
+
+
+def test_a_scale_that_is_not_said_leaves_a_specs_text_as_it_was() -> None:
+    assert "scale" not in to_toml(run_spec(dict(LEAST)))
+    assert "scale = 0.001" in to_toml(run_spec(LEAST | {"scale": 0.001}))
 
 
 @pytest.mark.parametrize("missing", ["gripper", "object"])

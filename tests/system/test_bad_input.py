@@ -73,6 +73,24 @@ def test_a_mesh_in_millimetres_is_recognised(qdgrasp):
     assert "millimetre" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part, "--mass", "0.3"))
 
 
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (("--mass", "0"), ["mass must be a number greater than 0", "(kg), got 0.0"]),
+        (("--mass", "1", "--scale", "-1"), ["scale must be a number greater than 0", "got -1.0"]),
+        (("--mass", "1", "--units", "mm"), ["5e-05 x 6e-05 x 7e-05 m", "smaller than what a hand grasps"]),
+        (("--mass", "1", "--object", "."), ["'.' is a folder", "`qdgrasp campaign --objects .`"]),
+        (("--object", "mug", "--units", "mm"), ["'mug' of the catalog has its own size", "leave --scale"]),
+    ],
+)
+def test_an_object_that_cannot_be_is_refused(qdgrasp, flags, words):
+    part = mesh_file(qdgrasp.home)
+    said = sentence(qdgrasp("run", "--gripper", "panda", "--object", part, *flags, "--out", "out"))
+    for word in words:
+        assert word in said
+    assert not (qdgrasp.home / "out").exists()
+
+
 @pytest.mark.parametrize("content", [b"", b"this is no mesh", b"solid nothing\nendsolid nothing\n"])
 def test_an_empty_or_unreadable_mesh_is_refused(qdgrasp, content):
     part = qdgrasp.home / "part.stl"

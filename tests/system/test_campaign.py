@@ -169,18 +169,47 @@ def test_a_campaign_that_would_lose_something_is_refused_and_stays_as_it_was(don
 
 
 def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done(qdgrasp, done):
-    broken = qdgrasp.home / "broken.stl"
-    broken.write_bytes(b"this is no mesh")
-    text = SMALL + f'[[cross]]\nobject = "{broken}"\nmass = 0.3\nmethod = "contact_rand"\n'
-    ended = qdgrasp("campaign", write(qdgrasp.home, text), "--workers", 2, "--out", "out")
+    pair = qdgrasp.home / "pair.stl"
+    blocks = [trimesh.creation.box(extents=(0.02, 0.06, 0.07)) for _ in range(2)]
+    trimesh.util.concatenate([blocks[0], blocks[1].apply_translation((0.03, 0, 0))]).export(pair)
+    text = SMALL + f'[[cross]]\nobject = "{pair}"\nmass = 0.3\nmethod = "contact_rand"\n'
+    no_cache = {"QDGRASP_CACHE": str(pair)}  # where its convex parts cannot be kept
+    ended = qdgrasp("campaign", write(qdgrasp.home, text), "--workers", 2, "--out", "out", **no_cache)
     assert "1 of 4 runs could not be carried out" in sentence(ended)
-    assert "broken" in ended.err
-    assert not list((qdgrasp.home / "out" / "runs").glob("*broken*"))
+    assert "pair" in ended.err
+    assert not list((qdgrasp.home / "out" / "runs").glob("*pair*"))
     assert digests(qdgrasp) == digests(done)
-    trimesh.creation.box(extents=(0.05, 0.06, 0.07)).export(broken)
     mended = qdgrasp("campaign", "out", "--workers", 2)
     assert mended.code == 0, mended.err
     assert "4 of 4 runs" in mended.out
+
+
+def test_meshes_that_cannot_be_used_are_all_named_before_anything_is_begun(qdgrasp):
+    parts = qdgrasp.home / "my parts"
+    parts.mkdir()
+    (parts / "none.stl").write_bytes(b"this is no mesh")
+    trimesh.creation.box(extents=(50, 60, 70)).export(parts / "large.stl")
+    folder = ("campaign", "--gripper", "panda", "--objects", "my parts", "--density", 1000, "--out", "out")
+    text = "".join(f'[[cross]]\nobject = "{mesh}"\nmass = 0.3\n' for mesh in sorted(parts.iterdir()))
+    for asked in (folder, ("campaign", write(qdgrasp.home, SMALL + text), "--out", "out")):
+        refused = qdgrasp(*asked)
+        assert "2 of 2 meshes cannot be used as they are, and nothing was begun" in sentence(refused)
+        assert "large.stl: it is 50 x 60 x 70 m large" in refused.err
+        assert "none.stl: The mesh" in refused.err
+        assert not (qdgrasp.home / "out").exists()
+
+
+def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
+    parts = qdgrasp.home / "my parts"
+    parts.mkdir()
+    trimesh.creation.box(extents=(50, 60, 70)).export(parts / "large one.stl")
+    (parts / "masses.csv").write_text("file,mass\nlarge one.stl,0.3\n")
+    asked = ("campaign", "--gripper", "panda", "--objects", parts, "--units", "mm", "--evaluations", 20)
+    ended = qdgrasp(*asked, "--workers", 1, "--out", "out")
+    assert ended.code == 0, ended.err
+    found = qdgrasp.info("out/runs/panda-large-one-aimed-s0")
+    assert (found["complete"], found["scale"]) == (True, 0.001)
+    assert "1 of 1 runs" in qdgrasp("campaign", "out").out
 
 
 @pytest.mark.slow
