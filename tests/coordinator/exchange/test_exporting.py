@@ -1,5 +1,6 @@
 """`qdgrasp export`: what it takes from which folders, what it writes, and what it refuses."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +160,14 @@ def test_a_run_in_progress_gives_what_it_has_by_now(run: RunFolder, scene: Scene
         journal.begin_turn(2, 2.0)
         export(run, tmp_path / "one", "parquet")
     assert len(READERS["parquet"](tmp_path / "one").matrices) == 4
+
+
+def test_a_run_of_a_campaign_gives_its_grasps_like_any_other(run: RunFolder, tmp_path: Path) -> None:
+    job = JobFolder.create(tmp_path / "job", "job")
+    one = shutil.copytree(run.path, job.run_path("jaw-block-s0"))
+    (one / "job.json").unlink()
+    assert command(one, "--format", "parquet", "-o", tmp_path / "out").exit_code == 0
+    assert set(READERS["parquet"](tmp_path / "out").beside["run"]) == {"jaw-block-s0"}
 
 
 def test_a_pruned_run_gives_the_same_grasps(make_run: MakeRun, tmp_path: Path) -> None:

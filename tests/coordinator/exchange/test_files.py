@@ -10,16 +10,19 @@ import pytest
 import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
-from tests.coordinator.exchange.conftest import COM
+from tests.coordinator.exchange.conftest import COM, MakeRun
 from tests.coordinator.exchange.readers import JOINTS, READERS, TURNED
 
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.exchange import importing
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.exporting import export
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.things import Thing
 from qdgrasp_coordinator.exchange.writing import FORMATS
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_protocol.outcome import Outcome
 
 ACROSS = Rotation.from_euler("z", 90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x."""
@@ -150,6 +153,15 @@ def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scen
     box = trimesh.creation.box((0.04, 0.05, 0.06))
     assert told["volume"] == pytest.approx(box.volume)
     np.testing.assert_allclose(told["inertia"], box.moment_inertia * 0.1 / box.volume, rtol=1e-6, atol=1e-15)
+
+
+def test_a_mesh_in_millimetres_is_scaled_by_what_the_file_says(make_run: MakeRun, tmp_path: Path) -> None:
+    run = make_run(Outcome.HELD, scale=0.001)
+    export(run, tmp_path / "out", "acronym")
+    assert READERS["acronym"](tmp_path / "out").beside["scale"] == 0.001
+    assert words_of(tmp_path / "out", "acronym")["object_scale"] == 0.001
+    thing = Thing(np.array(COM), 0.001)
+    assert importing.read_grasps(tmp_path / "out", run.scene().gripper, thing).notes == ()
 
 
 def test_graspgen_has_failures_and_the_mesh_that_its_poses_are_told_of(
