@@ -134,6 +134,18 @@ def benching(qdgrasp: Commands) -> subprocess.Popen[str]:
     return process
 
 
+def looking(*command: object) -> Beginning:
+    """A command that evaluates recorded rows again."""
+
+    def begin(qdgrasp: Commands) -> subprocess.Popen[str]:
+        assert qdgrasp("run", *SMALL, "--evaluations", 60, "--workers", 2, "--out", "run").code == 0
+        process = qdgrasp.start(*command)
+        wait_for(lambda: bool(processes_of(process.pid)), "its processes")
+        return process
+
+    return begin
+
+
 def _is_loaded(pid: int) -> bool:
     return len(list(Path(f"/proc/{pid}/task").iterdir())) > 4
 
@@ -160,12 +172,16 @@ BEGINNINGS: dict[str, Beginning] = {
     "a coordinator without a router": coordinating,
     "a worker whose simulator hangs": with_a_hanging_simulator,
     "a measurement of this node": benching,
+    "an evaluation that is filmed": looking("render", "run", "--grasp", 0, "-o", "a.gif"),
+    "rows that are verified": looking("verify", "run", "--all"),
     "a page of a finished run": viewing,
 }
 QUICK = {
     "a run whose router is away": signal.SIGINT,
     "a campaign's scene that is built": signal.SIGTERM,
     "a page of a finished run": signal.SIGINT,
+    "an evaluation that is filmed": signal.SIGINT,
+    "rows that are verified": signal.SIGTERM,
 }
 
 

@@ -79,6 +79,8 @@ def _is_film(out: Path) -> bool:
 
 
 def _check_free(out: Path, force: bool) -> None:
+    if not out.absolute().parent.is_dir():
+        raise InputError(f"There is no folder {out.parent} to write {out.name} into.")
     if out.exists() and not force:
         raise InputError(f"{out} exists; name another file, or replace it with --force.")
 

@@ -39,11 +39,11 @@ class Canvas:
         """Columns and rows."""
         return self._image.size
 
-    def line(self, start: Point, end: Point, colour: str, width: float = 2.0) -> None:
+    def line(self, start: Point, end: Point, colour: str, width: float) -> None:
         """Draw a line."""
         self._pen.line([*_fine(start), *_fine(end)], fill=colour, width=round(FINE * width))
 
-    def arrow(self, start: Point, end: Point, colour: str, width: float = 2.0) -> None:
+    def arrow(self, start: Point, end: Point, colour: str, width: float) -> None:
         """Draw a line that ends in a tip."""
         way = np.subtract(end, start)
         length = float(np.hypot(*way))

@@ -28,8 +28,10 @@ WORDS = {
 """What the colours of contacts mean."""
 HUES = (APPROACH, *AXES.values(), *WORDS)
 """All of the above."""
-BESIDE = 7
-"""Pixels from a point to what is written beside it."""
+BESIDE = 0.55
+"""From a point to what is written beside it; this and what follows in heights of letters."""
+LINE, BOLD, THIN, DOT = 0.16, 0.2, 0.12, 0.24
+"""Width of the axes of a frame, of the approach axis and of a normal; radius of a contact."""
 Floats = NDArray[np.float64]
 
 
@@ -62,23 +64,23 @@ class Marks:
         """The axes of a frame, and its name where they do not point."""
         origin, *tips = self._seen(placed(pose, np.vstack([np.zeros(3), FRAME * np.eye(3)])))
         for (axis, hue), tip in zip(AXES.items(), tips, strict=True):
-            canvas.arrow(origin, tip, hue)
-            canvas.write((tip[0] + BESIDE, tip[1]), axis, self._size, hue)
+            canvas.arrow(origin, tip, hue, LINE * self._size)
+            canvas.write((tip[0] + BESIDE * self._size, tip[1]), axis, self._size, hue)
         away = np.array(origin) - np.mean(tips, axis=0)
-        x, y = np.array(origin) + 2 * BESIDE * away / max(1.0, float(np.hypot(*away)))
+        x, y = np.array(origin) + 2 * BESIDE * self._size * away / max(1.0, float(np.hypot(*away)))
         canvas.write((x, y), name, self._size, INK, leftward=bool(away[0] < 0))
 
     def _arrow(self, canvas: Canvas, hand: Pose) -> None:
         """From the palm along the approach axis."""
         palm, far = self._seen(placed(hand, self._approach))
-        canvas.arrow(palm, far, APPROACH, width=2.5)
-        canvas.write((far[0] + BESIDE, far[1]), "approach", self._size, APPROACH)
+        canvas.arrow(palm, far, APPROACH, BOLD * self._size)
+        canvas.write((far[0] + BESIDE * self._size, far[1]), "approach", self._size, APPROACH)
 
     def _contact(self, canvas: Canvas, touch: Touch, hue: str) -> None:
         point = np.array(touch.point)
         start, end = self._seen(np.array([point, point + NORMAL * np.array(touch.normal)]))
-        canvas.arrow(start, end, hue, width=1.5)
-        canvas.disc(start, 3.0, hue)
+        canvas.arrow(start, end, hue, THIN * self._size)
+        canvas.disc(start, DOT * self._size, hue)
 
     def _seen(self, points: Floats) -> list[Point]:
         return [(column, row) for column, row in self._camera.pixels(points).tolist()]

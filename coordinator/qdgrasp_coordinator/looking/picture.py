@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
 from qdgrasp_assets.scene import SceneGripper
@@ -24,6 +25,8 @@ SAMPLES = 8
 """Frames that a film's colours are taken from."""
 COLOURS = 128
 """In a film, besides those of marks and words."""
+APART = 12
+"""How far they are from these in red, green or blue, of 255, so that none of these is taken for them."""
 
 
 class Layout:
@@ -37,7 +40,7 @@ class Layout:
 
     def __init__(self, size: Size) -> None:
         self.size = size
-        self.large = min(20, max(12, size.width // 40))
+        self.large = max(12, min(size.width // 40, size.height // 32))
         """Height of the title's letters; those of other words are smaller [pixels]."""
         self.small = round(0.8 * self.large)
         self._rows = [self.large, *[self.small] * 4]
@@ -145,10 +148,12 @@ def _palette(images: Sequence[Image.Image]) -> Image.Image:
     sheet = Image.new("RGB", (images[0].width, images[0].height * len(images)))
     for place, image in enumerate(images):
         sheet.paste(image, (0, place * image.height))
-    others = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
-    exact = [part for hue in ("white", FAINT, INK, *HUES) for part in ImageColor.getrgb(hue)]
+    found = sheet.quantize(COLOURS, method=Image.Quantize.MEDIANCUT).convert("RGB").getcolors(COLOURS) or []
+    exact = np.array([ImageColor.getrgb(hue) for hue in ("white", FAINT, INK, *HUES)])
+    others = np.array([colour for _, colour in found])
+    is_apart = np.abs(others[:, None] - exact).max(axis=2).min(axis=1) > APART
     palette = Image.new("P", (1, 1))
-    palette.putpalette([*exact, *others[: 3 * COLOURS]])
+    palette.putpalette(np.concatenate([exact, others[is_apart]]).ravel().tolist())
     return palette
 
 

@@ -11,7 +11,7 @@ from tests.coordinator.scenes import SceneMaker, jaw
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.looking.caption import Caption
 from qdgrasp_coordinator.looking.marks import APPROACH, AXES, CONTACT, OTHER, OVERLAP
-from qdgrasp_coordinator.looking.picture import SMALLEST, Layout, pictures, write
+from qdgrasp_coordinator.looking.picture import LARGEST, SMALLEST, Layout, pictures, write
 from qdgrasp_coordinator.looking.replaying import Replay, Size
 from qdgrasp_coordinator.looking.specimen import Specimen, specimen
 from qdgrasp_protocol.errors import InputError
@@ -113,7 +113,9 @@ def test_the_approach_axis_begins_at_the_palm(held: Specimen, turned: Shot) -> N
     assert not has(image, APPROACH, before, radius=5)
 
 
-@pytest.mark.parametrize("size", [SMALLEST, SIZE, Size(1280, 960)], ids=str)
+@pytest.mark.parametrize(
+    "size", [SMALLEST, SIZE, *LARGEST.values(), Size(3840, 240), Size(320, 2160)], ids=str
+)
 def test_words_fit_below_the_scene(held: Specimen, size: Size) -> None:
     layout = Layout(size)
     assert layout.scene.height > size.height / 2
@@ -172,6 +174,7 @@ def test_a_film_has_all_frames_and_lasts_as_long(held: Specimen, tmp_path: Path)
     with Image.open(tmp_path / "a.gif") as written:
         assert (written.n_frames, written.size, written.info["duration"]) == (12, tuple(SIZE), 80)
         written.seek(5)
+        assert has(np.array(written.convert("RGB")), "white", np.array([600.0, 550.0]))
         assert has(np.array(written.convert("RGB")), CONTACT, *seen((0.05, 0.0, 0.0)))
 
 

@@ -9,6 +9,7 @@ import typer
 
 from qdgrasp_assets.scene import unpack_scene
 from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.replay import ANSWER, FRAMES, REQUEST, SCENE, Request
 from qdgrasp_worker.replaying.replay import Frames, Replay
@@ -27,9 +28,14 @@ def replay(folder: Path) -> None:
 
     with lifetime("qdgrasp-replay") as stop:
         stop.tell(lambda: os._exit(stop.exit_code))  # nothing is left behind but a folder that is thrown away
-        request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=Request)
-        answer = Replay(unpack_scene((folder / SCENE).read_bytes()), request).draw(make)
-        (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
+        try:
+            request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=Request)
+            answer = Replay(unpack_scene((folder / SCENE).read_bytes()), request).draw(make)
+            (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
+        except OSError as error:
+            raise InputError(
+                f"The frames do not fit into {folder.parent}: {error.strerror or error}."
+            ) from None
 
 
 if __name__ == "__main__":
