@@ -58,7 +58,7 @@ closed = 0.0
 open = 0.04
 closed = 0.0
 """
-SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "contact_me_scs"\npopulation = 30\nevaluations = 60\n'
+SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "contact_me_scs"\npopulation = 30\nevaluations = 200\n'
 MANY = """
 [defaults]
 gripper = "panda"
