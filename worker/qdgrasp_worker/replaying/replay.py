@@ -130,9 +130,9 @@ def trial(scene: Scene, request: Request) -> Trial:
 def coarse(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The means of squares of `FINE` by `FINE` pixels."""
     parts = [image[row::FINE, column::FINE] for row in range(FINE) for column in range(FINE)]
-    total = np.sum(parts, axis=0, dtype=np.uint16)
-    means: NDArray[np.uint8] = ((total + FINE * FINE // 2) // (FINE * FINE)).astype(np.uint8)
-    return means
+    total = np.asarray(np.sum(parts, axis=0, dtype=np.uint16))
+    means = (total + FINE * FINE // 2) // (FINE * FINE)
+    return means.astype(np.uint8)
 
 
 def pose(frame: Floats) -> replay.Pose:
