@@ -71,14 +71,28 @@ def find_gripper(name: str) -> Gripper:
     UnknownName, UnknownKey, AssetError
         As in `build_scene`.
     """
+    path = gripper_path(name)
+    if path.parent == GRIPPERS:
+        return read_gripper(path, name, _gripper_source(name))
+    return read_gripper(path, path.stem, path.name)
+
+
+def gripper_path(name: str) -> Path:
+    """The TOML file of the gripper of the catalog with this name, or the one that the name is the path of.
+
+    Raises
+    ------
+    UnknownName
+        It is neither.
+    """
     built_in = GRIPPERS / f"{name}.toml"
     if built_in in _gripper_files():
-        return read_gripper(built_in, name, _gripper_source(name))
+        return built_in
     path = Path(name).expanduser()
     if not _is_file(path):
         hint = f"Or name a gripper's TOML file. Reference hands lie on the asset path ({searched()})."
         raise UnknownName("gripper", name, gripper_names(), hint)
-    return read_gripper(path, path.stem, path.name)
+    return path
 
 
 def find_object(spec: RunSpec) -> Target:

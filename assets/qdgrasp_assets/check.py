@@ -5,9 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.convex import parts_at_hand
 from qdgrasp_assets.files import searched
+from qdgrasp_assets.hands.examination import Examination, examine
 from qdgrasp_assets.inspection import inspect
 from qdgrasp_assets.lock import pin
 from qdgrasp_assets.mesh import Mesh
@@ -119,11 +122,27 @@ def _hulls(number: int) -> str:
     return f"{number} convex part{'s' if number > 1 else ''}"
 
 
+def examine_gripper(name: str) -> Examination:
+    """Everything that is known of a gripper of the catalog, or of a gripper's file.
+
+    A reference hand is as its authors published it, with limits that have a meaning of their own: what would
+    be wrong with another hand is only noted.
+
+    Raises
+    ------
+    UnknownName
+        It is neither.
+    """
+    found = examine(catalog.gripper_path(name), name)
+    if not found.faults or not name.startswith(catalog.REFERENCE):
+        return found
+    try:
+        catalog.find_gripper(name)
+    except QdgraspError:
+        return found
+    return msgspec.structs.replace(found, notes=found.faults, faults=())
+
+
 def _gripper(name: str) -> Report:
-    hand = catalog.find_gripper(name)
-    hand.on_carrier("paper")  # reads its meshes
-    file = hand.file
-    fingers = f"fingers {', '.join(file.finger_links)}"
-    return Report(
-        name, (f"base {file.base_link}", f"{len(file.joints)} joints", fingers, f"licence {file.licence}")
-    )
+    found = examine_gripper(name)
+    return Report(name, found.facts, found.faults)

@@ -2,6 +2,7 @@
 
 import tomllib
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ from msgspec import Struct
 
 from qdgrasp_assets.carrier import CARRIERS
 from qdgrasp_assets.files import on_asset_path, searched
+from qdgrasp_assets.hands.source import read_source
 from qdgrasp_assets.scene import FreeJoint, Jaw, Joint, SceneGripper, Synergy, Vector
 from qdgrasp_assets.shapes import largest_side
-from qdgrasp_assets.urdf import Urdf, UrdfJoint, read_urdf, tree
+from qdgrasp_assets.urdf import Urdf, UrdfJoint, tree
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
 ON_ASSET_PATH = "asset://"
@@ -177,12 +179,20 @@ def read_gripper(path: Path, name: str, source: str) -> Gripper:
         A file is missing or cannot be read, a value is impossible, or the two do not fit each other.
     """
     file = read_gripper_file(path)
-    robot = read_urdf(_urdf_path(path, file))
+    urdf = urdf_path(path, file)
+    robot = tree(urdf, read_source(urdf))
     _check(path, file, robot)
     return Gripper(name, source, file, robot)
 
 
-def _urdf_path(path: Path, file: GripperFile) -> Path:
+def urdf_path(path: Path, file: GripperFile) -> Path:
+    """Where the URDF is that a gripper's file names.
+
+    Raises
+    ------
+    AssetError
+        It is to be on the asset path, and is not.
+    """
     found = file.find_urdf(path)
     if found is None:
         raise AssetError(
@@ -227,75 +237,86 @@ def _check_keys(where: str, values: Any, struct: Any) -> None:
 
 
 def _check(path: Path, file: GripperFile, robot: Urdf) -> None:
-    """Names exist, every joint that moves is told of, numbers are possible."""
-    _known(path, robot, "base_link", [file.base_link], robot.links)
-    hand = robot.subtree(file.base_link)
+    for fault in gripper_faults(file, robot):
+        raise AssetError(f"The gripper '{path}': {fault}.")
+
+
+def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
+    """All in which a gripper's file does not fit its URDF, or is impossible, in words.
+
+    Names exist, every joint that moves is told of, numbers are possible.
+    """
+    unknown = tuple(_unknown(robot, "base_link", [file.base_link], robot.links))
+    yield from unknown
+    if not unknown:
+        yield from _hand_faults(file, robot, robot.subtree(file.base_link))
+    yield from _number_faults(file)
+
+
+def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     moving = {joint.name: joint for joint in hand.joints if joint.moves}
-    _known(path, robot, "finger_links", file.finger_links, hand.links)
-    _known(path, robot, "joints", file.joints, moving)
-    _known(path, robot, "free_joints", file.free_joints, file.joints)
+    yield from _unknown(robot, "finger_links", file.finger_links, hand.links)
+    yield from _unknown(robot, "joints", file.joints, moving)
+    yield from _unknown(robot, "free_joints", file.free_joints, file.joints)
     for synergy in file.synergies:
-        _known(path, robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
+        yield from _unknown(robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
     for name in moving:
         if name not in file.joints:
-            raise AssetError(
-                f"The gripper '{path}' says nothing about the joint '{name}' of '{robot.path}', which moves; "
-                f"add [joints.{name}] with its open and closed positions, or with driven = false."
+            yield (
+                f"it says nothing about the joint '{name}' of '{robot.path}', which moves; add "
+                f"[joints.{name}] "
+                "with its open and closed positions, or with driven = false"
             )
     for name, table in file.joints.items():
-        _check_joint(path, moving[name], table)
-    _check_numbers(path, file)
+        if name in moving:
+            yield from _joint_faults(moving[name], table)
 
 
-def _known(path: Path, robot: Urdf, field: str, names: Any, known: Any) -> None:
+def _unknown(robot: Urdf, field: str, names: Any, known: Any) -> Iterator[str]:
     for name in names:
         if name not in known:
-            raise AssetError(
-                f"The gripper '{path}': {field} names '{name}', which '{robot.path}' does not have "
-                f"below its base link; it has {', '.join(sorted(known)) or 'none'}."
+            yield (
+                f"{field} names '{name}', which '{robot.path}' does not have below its base link; "
+                f"it has {', '.join(sorted(known)) or 'none'}"
             )
 
 
-def _check_joint(path: Path, joint: UrdfJoint, table: JointTable) -> None:
+def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
     for label, position in (("open", table.open), ("closed", table.closed)):
         limited = joint.lower < joint.upper and joint.kind != "continuous"
         if position is not None and limited and not joint.lower - 1e-6 <= position <= joint.upper + 1e-6:
-            raise AssetError(
-                f"The gripper '{path}': joints.{joint.name}.{label} is {position:g}, outside the URDF's "
-                f"limits {joint.lower:g} to {joint.upper:g}."
+            yield (
+                f"joints.{joint.name}.{label} is {position:g}, outside the URDF's limits "
+                f"{joint.lower:g} to {joint.upper:g}"
             )
     for label, told, value in (
         ("effort", table.effort, joint.effort),
         ("velocity", table.velocity, joint.velocity),
     ):
         if table.driven and (value if told is None else told) <= 0:
-            raise AssetError(
-                f"The gripper '{path}': the {label} of the joint '{joint.name}' must be greater than 0; "
-                f"the URDF has {value:g}, so give {label} in [joints.{joint.name}]."
+            yield (
+                f"the {label} of the joint '{joint.name}' must be greater than 0; the URDF has {value:g}, "
+                f"so give {label} in [joints.{joint.name}]"
             )
 
 
-def _check_numbers(path: Path, file: GripperFile) -> None:
+def _number_faults(file: GripperFile) -> Iterator[str]:
     low, high = file.standoff
     if not 0 <= low <= high:
-        raise AssetError(
-            f"The gripper '{path}': standoff must be [least, greatest], 0 or more, got [{low:g}, {high:g}]."
-        )
+        yield f"standoff must be [least, greatest], 0 or more, got [{low:g}, {high:g}]"
     if file.palm_offset < 0:
-        raise AssetError(f"The gripper '{path}': palm_offset must be 0 or more, got {file.palm_offset:g}.")
+        yield f"palm_offset must be 0 or more, got {file.palm_offset:g}"
     if not np.linalg.norm(file.approach_axis) > 0:
-        raise AssetError(f"The gripper '{path}': approach_axis must not be zero.")
+        yield "approach_axis must not be zero"
     if file.jaw is not None:
-        _check_jaw(path, file, file.jaw)
+        yield from _jaw_faults(file, file.jaw)
     if not file.finger_links:
-        raise AssetError(f"The gripper '{path}': finger_links must name at least one link.")
+        yield "finger_links must name at least one link"
 
 
-def _check_jaw(path: Path, file: GripperFile, jaw: JawTable) -> None:
+def _jaw_faults(file: GripperFile, jaw: JawTable) -> Iterator[str]:
     if not jaw.opening > 0:
-        raise AssetError(f"The gripper '{path}': jaw.opening must be greater than 0, got {jaw.opening:g}.")
+        yield f"jaw.opening must be greater than 0, got {jaw.opening:g}"
     lengths = np.linalg.norm(jaw.axis) * np.linalg.norm(file.approach_axis)
     if not lengths > 0 or abs(np.dot(jaw.axis, file.approach_axis)) > RIGHT * lengths:
-        raise AssetError(
-            f"The gripper '{path}': jaw.axis must be at right angles to approach_axis, got {list(jaw.axis)}."
-        )
+        yield f"jaw.axis must be at right angles to approach_axis, got {list(jaw.axis)}"

@@ -9,13 +9,15 @@ import trimesh
 URDF = """<robot name="claw">
 <link name="mount"/>
 <joint name="flange" type="fixed"><parent link="mount"/><child link="palm"/><origin xyz="0 0 0.1"/></joint>
-<link name="palm"><inertial><mass value="0.5"/></inertial>
+<link name="palm"><inertial><mass value="0.5"/>
+<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial>
 <visual><geometry><mesh filename="palm.stl"/></geometry></visual>
 <collision><geometry><mesh filename="palm.stl"/></geometry></collision></link>
 <joint name="bend" type="revolute"><parent link="palm"/><child link="finger"/>
 <origin xyz="0 0.02 0.05" rpy="0 0 1.5707963267948966"/><axis xyz="0 0 1"/>
 <limit lower="0" upper="1.5" effort="10" velocity="2"/></joint>
-<link name="finger"><inertial><mass value="0.1"/></inertial>
+<link name="finger"><inertial><mass value="0.1"/>
+<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial>
 <collision><origin xyz="0.03 0 0"/><geometry><box size="0.06 0.01 0.01"/></geometry></collision></link>
 </robot>"""
 

@@ -45,7 +45,8 @@ Point = NDArray[np.floating]
 def draw_gripper(gripper: SceneGripper, path: Path) -> None:
     """Draw a hand open and closed to a PNG file, its approach axis upward: fingers coloured, palm in clay.
 
-    Axes stand in the base frame; the arrow goes from the palm as far as the stand-off's range reaches.
+    Axes stand in the base frame; the arrow goes from the palm as far as the stand-off's range reaches. The
+    bar across it is as long as the jaw of a two-finger hand opens, along its axis.
     """
     drawn, upright = hand(gripper), _upright(gripper)
     postures = {
@@ -53,16 +54,25 @@ def draw_gripper(gripper: SceneGripper, path: Path) -> None:
         "closed": [joint.closed for joint in gripper.joints],
     }
     panels = {name: _links(drawn, upright, joints) for name, joints in postures.items()}
-    words = f"base link {gripper.base_link}, palm at {gripper.palm_offset:g} m along the approach axis"
-    figure, seen, views = _two_views(gripper.name, words, panels)
+    words = (
+        f"frame: base link {gripper.base_link}; arrow: from the palm, {gripper.palm_offset:g} m along the "
+        "approach axis"
+    )
+    words += ", to the greatest stand-off" + ("; bar: the jaw" if gripper.jaw else "")
+    directions = upright.as_matrix()
     palm, near, far = (
         upright.apply(np.array(gripper.approach_axis) * (gripper.palm_offset + reach))
         for reach in (0.0, *gripper.standoff)
     )
+    figure, seen, views = _two_views(gripper.name, words, panels, tips=np.array([*FRAME * directions.T, far]))
     for axes in views:
-        _frame(axes, seen, upright.as_matrix())
+        _frame(axes, seen, directions)
         _arrow(axes, seen, palm, far, STANDOFF)
         axes.plot(*seen_at(seen, near), "o", color=STANDOFF, markersize=5)
+        if gripper.jaw is not None:
+            half = upright.apply(np.array(gripper.jaw.axis) * gripper.jaw.opening / 2)
+            ends = [seen_at(seen, far + side * half) for side in (-1, 1)]
+            axes.plot(*zip(*ends, strict=True), "|-", color=STANDOFF, markersize=8, linewidth=1.6)
     figure.savefig(path, format="png")
 
 

@@ -15,6 +15,7 @@ from qdgrasp_coordinator.cli import (
     doctor,
     evaluate,
     export,
+    gripper,
     import_,
     info,
     jobs,
@@ -72,6 +73,7 @@ app.command("continue")(administer.continue_)
 app.command()(administer.cancel)
 app.command()(administer.drain)
 app.add_typer(asset.app, name="asset")
+app.add_typer(gripper.app, name="gripper")
 app.add_typer(object_.app, name="object")
 app.add_typer(reference.app, name="reference")
 app.add_typer(security.app, name="security")

@@ -1,0 +1,84 @@
+"""Hollow links: meshes that the simulator fills, because it wraps each in its convex hull."""
+
+import io
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from qdgrasp_assets.hands.body import collisions, corners_of, mesh_bytes
+from qdgrasp_assets.hulls import CONCAVE
+from qdgrasp_assets.mesh import Floats, Mesh
+from qdgrasp_assets.objects.solids import hull
+from qdgrasp_assets.room import Room
+from qdgrasp_assets.shapes import numbers
+from qdgrasp_assets.urdf import Urdf, origin
+from qdgrasp_protocol.errors import AssetError
+
+MUCH = 0.1
+"""A link is hollow where its hull fills the room in front of this share of its surface."""
+SPACE = 3
+"""Dimensions."""
+
+
+@dataclass(frozen=True)
+class Hollow:
+    """A collision mesh and what its hull does to it."""
+
+    link: str
+    name: str
+    """The mesh, as the URDF names it."""
+    filled: float
+    """The share of its surface in front of which there is room, and the hull fills it."""
+
+
+def hollows(hand: Urdf) -> Iterator[Hollow]:
+    """The collision meshes of a hand whose hulls are much larger than they are."""
+    for link, shape in collisions(hand):
+        mesh = shape.find("geometry/mesh")
+        if mesh is None or shape.get(CONCAVE) is not None:
+            continue
+        parts = tuple(hull(corners) for corners in corners_of(hand, link, shape) if is_solid(corners))
+        filled = Room(read_shape(hand, shape)).fit(parts).filled if parts else 0.0
+        if filled > MUCH:
+            yield Hollow(link, mesh.get("filename", ""), filled)
+
+
+def read_shape(hand: Urdf, shape: ET.Element) -> Mesh:
+    """The triangles of a collision mesh in its link's frame [m]."""
+    element = shape.find("geometry/mesh")
+    assert element is not None  # noqa: S101  # asked of meshes alone
+    mesh = read_mesh_of(hand.path, element)
+    frame = origin(hand.path, shape.find("origin"))
+    return Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces)
+
+
+def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
+    """The triangles that a `<mesh>` names, scaled as it says; coincident vertices merged.
+
+    Raises
+    ------
+    AssetError
+        The mesh does not exist, or cannot be read.
+    """
+    import trimesh
+
+    name = element.get("filename", "")
+    content, kind = mesh_bytes(urdf, name), PurePosixPath(name).suffix.removeprefix(".").lower()
+    try:
+        read = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
+    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
+        raise AssetError(
+            f"The mesh '{name}' cannot be read ({type(error).__name__}: {error}); save it as an STL or "
+            "OBJ file."
+        ) from None
+    read.merge_vertices(merge_tex=True, merge_norm=True)
+    scale = numbers(element, "scale", "1 1 1")
+    return Mesh(np.asarray(read.vertices, dtype=np.float64) * scale, np.asarray(read.faces, dtype=np.int64))
+
+
+def is_solid(corners: Floats) -> bool:
+    """Whether corners (v, 3) are not all in one plane."""
+    return bool(len(corners) and np.linalg.matrix_rank(corners - corners[0], tol=1e-7) == SPACE)

@@ -1,0 +1,106 @@
+"""The collision shapes of a hand: whether the simulator can take them, in words."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from qdgrasp_assets.hands.body import collisions, corners_of, mesh_bytes
+from qdgrasp_assets.shapes import FORMS
+from qdgrasp_assets.stl import triangles
+from qdgrasp_assets.urdf import Urdf
+from qdgrasp_protocol.errors import AssetError
+
+LARGEST = 2.0
+"""No link is so large [m]: what is larger was drawn in millimetres."""
+PACKAGE = "package://"
+TAKEN = (".stl", ".obj", ".dae")
+"""Mesh files that the simulator reads."""
+
+
+def mesh_faults(hand: Urdf) -> tuple[str, ...]:
+    """What keeps the shapes of a hand from being simulated; empty when nothing does."""
+    missing = tuple(_missing(hand))
+    if missing:
+        return missing
+    return tuple(fault for link, shape in collisions(hand) if (fault := _fault(hand, link, shape)))
+
+
+def _missing(hand: Urdf) -> Iterator[str]:
+    for name, links in _references(hand).items():
+        try:
+            mesh_bytes(hand.path, name)
+        except AssetError:
+            yield (
+                f"the mesh '{name}' of the link{'s' * (len(links) > 1)} {_quoted(links)} {_where(hand, name)}"
+            )
+
+
+def _references(hand: Urdf) -> dict[str, list[str]]:
+    """Mesh files with the links that use them, in the order of the file."""
+    found: dict[str, list[str]] = {}
+    for link in hand.element.findall("link"):
+        for mesh in link.iter("mesh"):
+            links = found.setdefault(mesh.get("filename", ""), [])
+            if link.get("name", "") not in links:
+                links.append(link.get("name", ""))
+    return found
+
+
+def _quoted(names: list[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
+
+
+def _where(hand: Urdf, name: str) -> str:
+    """Where a mesh that is missing should be, and what to do."""
+    if not name.startswith(PACKAGE):
+        return f"does not exist: it should be at '{hand.path.parent / name.removeprefix('file://')}'"
+    package, _, rest = name.removeprefix(PACKAGE).partition("/")
+    return (
+        f"is not found: a folder '{package}' with '{rest}' is looked for above the URDF, beside one of the "
+        f"folders above it, and as a Python package; put the ROS package '{package}' there, or write the "
+        "path "
+        "relative to the URDF"
+    )
+
+
+def _fault(hand: Urdf, link: str, shape: ET.Element) -> str:
+    """What is wrong with one collision shape; empty when nothing is."""
+    geometry = shape.find("geometry")
+    form = geometry[0] if geometry is not None and len(geometry) else None
+    if form is None:
+        return f"a <collision> of the link '{link}' has no shape in its <geometry>; add one, or leave it out"
+    if form.tag not in FORMS:
+        return (
+            f"the link '{link}' has a collision shape <{form.tag}>, and URDF knows {', '.join(FORMS)}: "
+            "make it one of those"
+        )
+    return _mesh_fault(hand, link, shape, form.get("filename", "")) if form.tag == "mesh" else ""
+
+
+def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
+    kind = PurePosixPath(name).suffix.lower()
+    mesh = f"the mesh '{name}' of the link '{link}'"
+    if kind not in TAKEN:
+        return (
+            f"{mesh} is a {kind} file, and the simulator reads {', '.join(TAKEN)}: save it as one, or use "
+            "--mend"
+        )
+    if kind == ".stl" and triangles(mesh_bytes(hand.path, name)) is None:
+        return f"{mesh} is no binary STL file, which alone the simulator reads: save it as one, or use --mend"
+    try:
+        corners = np.concatenate([np.zeros((0, 3)), *corners_of(hand, link, shape)])
+    except AssetError as error:
+        return str(error).rstrip(".")
+    if not len(corners):
+        return f"{mesh} is empty: give it one with a surface, or leave the shape out"
+    if not np.isfinite(corners).all():
+        return f"{mesh} has vertices that are not finite: export it again"
+    side = float(np.ptp(corners, axis=0).max())
+    if side > LARGEST:
+        return (
+            f"{mesh} is {side:.4g} m large, so it looks like millimetres: write "
+            '<mesh filename="..." scale="0.001 0.001 0.001"/>, or use --mend'
+        )
+    return ""

@@ -1,0 +1,187 @@
+"""Everything that can be wrong with a hand's URDF or file is told in words, and all of it at once."""
+
+import numpy as np
+import pytest
+import trimesh
+from tests.assets.hands import jaw
+
+from qdgrasp_assets.hands.examination import examine, examine_urdf
+
+BOX = '<box size="0.02 0.01 0.06"/>'
+LOOP = '<joint name="loop" type="fixed"><parent link="left"/><child link="right"/></joint></robot>'
+CIRCLE = (
+    '<link name="a"/><link name="b"/>'
+    '<joint name="ab" type="fixed"><parent link="a"/><child link="b"/></joint>'
+    '<joint name="ba" type="fixed"><parent link="b"/><child link="a"/></joint></robot>'
+)
+
+
+def faults(toml):
+    found = examine(toml, "jaw")
+    assert all("\n" not in fault for fault in found.faults)
+    return found.faults
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('<link name="right">', '<link name="left">', "the link 'left' is named more than once; give each"),
+        ('<joint name="other"', '<joint name="slide"', "the joint 'slide' is named more than once; give"),
+        ('<joint name="other"', "<joint", "a joint has no name; give each its own"),
+        ('<child link="right"/>', "", "the joint 'other' has no child link; correct"),
+        ('<child link="right"/>', '<child link="thumb"/>', "names the child link 'thumb', which does not"),
+        ("</robot>", LOOP, "the link 'right' is the child of two joints: it closes a loop"),
+        ("</robot>", '<link name="camera"/></robot>', r"it has 2 roots ('palm', 'camera'), and a URDF has"),
+        ("</robot>", CIRCLE, "the links 'a', 'b' are carried by itself in a circle of joints; cut the"),
+        ('type="prismatic"', 'type="floating"', "the joint 'slide' is a floating one, which no motor drives"),
+        ('type="prismatic"', 'type="planar"', "the joint 'slide' is a planar one, which no motor drives"),
+        ('type="prismatic"', 'type="hinge"', "the joint 'slide' is of the type 'hinge', and URDF knows"),
+        ('lower="-0.04" upper="0"', 'lower="0" upper="-0.04"', "limited the wrong way round, lower above"),
+        ('lower="-0.04" upper="0"', 'lower="0" upper="0"', "are limited to one place, lower equal to upper"),
+        ('<limit lower="-0.04" upper="0" effort="60" velocity="0.2"/>', "", "'slide' is prismatic and has"),
+        ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', "the joint 'slide' has the axis '0 0 0'; an axis has a"),
+        ('axis xyz="0 1 0"', 'axis xyz="0 up 0"', "must hold 3 numbers"),
+        ('mimic joint="slide"', 'mimic joint="sled"', "the joint 'other' mimics 'sled', which is no other"),
+        ('mass value="0.1"', 'mass value="0"', "the links 'left', 'right' are of mass 0, which the"),
+        ('mass value="0.1"', 'mass value="-1"', "are of a negative mass: give it in kg"),
+        ('mass value="0.5"', 'mass value="500"', "it weighs 500.2 kg, which looks like grams"),
+        (f'<inertial><mass value="0.5"/>{jaw.INERTIA}</inertial>', "", "'palm' is without <inertial>, for"),
+        ('<mass value="0.1"/>', "", "with an <inertial> that lacks <mass> or <inertia>, which the simulator"),
+        (f'<mass value="0.1"/>{jaw.INERTIA}', '<mass value="0.1"/>', "lacks <mass> or <inertia>"),
+        (BOX, '<mesh filename="pad.stl"/>', "the mesh 'pad.stl' of the links 'left', 'right' does not"),
+        (BOX, '<mesh filename="package://robotiq/pad.stl"/>', "put the ROS package 'robotiq' there, or"),
+        (BOX, '<capsule radius="0.01" length="0.02"/>', "a collision shape <capsule>, and URDF knows mesh,"),
+        (f"<geometry>{BOX}</geometry>", "", "has no shape in its <geometry>"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_urdf_is_one_sentence(jaw_toml, jaw_urdf, edit, old, new, sentence):
+    edit(jaw_urdf, old, new)
+    assert any(sentence in fault for fault in faults(jaw_toml))
+    told, gripper = examine_urdf(jaw_urdf, "jaw")
+    assert gripper is None
+    assert any(sentence in fault for fault in told.faults)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('["left", "right"]', "[]", "finger_links must name at least one link"),
+        ('["left", "right"]', '["thumb"]', "finger_links names 'thumb', which"),
+        (
+            "closed = -0.04",
+            "closed = 0.0",
+            "the fingers do not close: their tips are 90 mm apart when open and 90",
+        ),
+        ("closed = -0.04\n", "", "no joint closes: give those of the fingers a closed position"),
+        ("[0, 0, 1]", "[0, 0, -1]", "approach_axis points away from the fingers, which are toward [0, 0, 1]"),
+        (
+            "palm_offset = 0.04",
+            "palm_offset = 0.4",
+            "palm_offset is 0.4 m along the approach axis, and the fingers",
+        ),
+    ],
+)
+def test_what_cannot_be_meant_in_a_file_is_one_sentence(jaw_toml, edit, old, new, sentence):
+    edit(jaw_toml, old, new)
+    assert any(sentence in fault for fault in faults(jaw_toml))
+
+
+def test_a_hand_without_faults_has_none(jaw_toml):
+    found = examine(jaw_toml, "jaw")
+    assert (found.faults, found.notes) == ((), ())
+    assert (found.joints, found.followers, found.fingers) == (2, 1, 2)
+    assert found.mass == pytest.approx(0.7)
+
+
+def test_all_that_is_wrong_is_told_at_once(jaw_toml, jaw_urdf, edit):
+    edit(jaw_urdf, 'mass value="0.5"', 'mass value="0"')
+    edit(jaw_urdf, 'lower="-0.04" upper="0"', 'lower="0" upper="-0.04"')
+    edit(jaw_urdf, BOX, '<mesh filename="pad.stl"/>')
+    edit(jaw_toml, "[joints.other]", "[joints.another]")
+    assert len(faults(jaw_toml)) == 5
+
+
+def test_a_closed_posture_that_opens_is_told_with_both_distances(jaw_toml, jaw_urdf, edit):
+    edit(jaw_toml, "open = 0.0\nclosed = -0.04", "open = -0.04\nclosed = 0.0")
+    (fault,) = faults(jaw_toml)
+    assert "their tips are 10 mm apart when open and 90 mm when closed; swap open and closed" in fault
+
+
+def test_a_follower_that_the_file_sends_elsewhere_is_told_where_it_should_be(jaw_toml):
+    text = jaw_toml.read_text()
+    head, _, tail = text.partition("[joints.other]")
+    jaw_toml.write_text(head + "[joints.other]" + tail.replace("closed = -0.04", "closed = -0.02"))
+    (fault,) = faults(jaw_toml)
+    assert "joints.other is closed at -0.02, and by the URDF's <mimic> it is at -0.04 where slide is" in fault
+
+
+def test_links_that_are_in_each_other_in_the_open_posture_are_told(jaw_toml, jaw_urdf, edit):
+    wide = '<limit lower="-0.09" upper="0" effort="60" velocity="0.2"/>'
+    edit(jaw_urdf, '<limit lower="-0.04" upper="0" effort="60" velocity="0.2"/>', wide)
+    edit(jaw_toml, "open = 0.0\nclosed = -0.04", "open = -0.045\nclosed = -0.09")
+    assert any(
+        "'left' and 'right' are 10 mm in each other in the open posture" in fault
+        for fault in faults(jaw_toml)
+    )
+
+
+def test_a_mesh_in_millimetres_is_told_with_the_scale_that_helps(jaw_toml, jaw_urdf, edit):
+    trimesh.creation.box((20, 10, 60_000)).export(jaw_urdf.parent / "pad.stl")
+    edit(jaw_urdf, BOX, '<mesh filename="pad.stl"/>')
+    assert "is 6e+04 m large, so it looks like millimetres: write" in faults(jaw_toml)[0]
+    edit(jaw_urdf, 'filename="pad.stl"', 'filename="pad.stl" scale="1e-3 1e-3 1e-6"')
+    assert faults(jaw_toml) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("pad.ply", b"ply", "is a .ply file, and the simulator reads .stl, .obj, .dae"),
+        ("pad.stl", b"solid pad\nendsolid pad\n", "is no binary STL file, which alone the simulator reads"),
+        ("pad.stl", bytes(84), "is empty: give it one with a surface"),
+        ("pad.obj", b"v 0 0 0\nf 1 2 3\n", "cannot be read"),
+    ],
+)
+def test_a_mesh_that_the_simulator_cannot_read_is_told(jaw_toml, jaw_urdf, edit, name, content, sentence):
+    (jaw_urdf.parent / name).write_bytes(content)
+    edit(jaw_urdf, BOX, f'<mesh filename="{name}"/>')
+    assert sentence in faults(jaw_toml)[0]
+
+
+def test_a_hollow_mesh_is_noted(jaw_toml, jaw_urdf, edit):
+    arch = trimesh.util.concatenate([trimesh.creation.box(bounds=bounds) for bounds in ARCH])
+    arch.export(jaw_urdf.parent / "arch.stl")
+    edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
+    (note,) = examine(jaw_toml, "jaw").notes
+    assert "wraps each collision mesh in its convex hull" in note
+    assert "left " in note
+
+
+ARCH = 0.001 * np.array(
+    [[(-10, -5, -30), (-5, 5, 30)], [(5, -5, -30), (10, 5, 30)], [(-10, -5, 30), (10, 5, 35)]]
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('[jaw]\naxis = [0, 1, 0]\nopening = 0.08\n', "", "no [jaw]: with axis = [0, 1, 0], opening = 0.08"),
+        ("axis = [0, 1, 0]", "axis = [1, 0, 0]", "jaw.axis is [1, 0, 0], and the fingers oppose each other"),
+        ("opening = 0.08", "opening = 0.04", "jaw.opening is 0.04 m, and between the shapes of the open"),
+        ("[0.0, 0.06]", "[0.0, 0.2]", "standoff goes to 0.2 m, and the fingers reach 0.061 m beyond the"),
+        ("palm_offset = 0.04", "palm_offset = 0.0", "palm_offset is 0 m, and the palm's shapes end at 0.04"),
+        ("closed = -0.04\n", "closed = -0.04\nvelocity = 0.05\n", "does not close wholly: slide needs 0.8 s"),
+        ("[0, 0, 1]", "[1, 0, 0.9]", "approach_axis is 48 degrees from where the fingers close, [0, 0, 1]"),
+    ],
+)  # fmt: skip
+def test_what_is_worth_a_thought_is_noted(jaw_toml, edit, old, new, sentence):
+    edit(jaw_toml, old, new)
+    found = examine(jaw_toml, "jaw")
+    assert found.faults == ()
+    assert any(sentence in note for note in found.notes)
+
+
+def test_fingers_that_close_beside_the_line_of_approach_are_noted(jaw_toml, jaw_urdf, edit):
+    for side in ("0.045", "-0.045"):
+        edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0.08 {side} 0.041"')
+    assert any("the fingers close 80 mm beside the line" in note for note in examine(jaw_toml, "jaw").notes)
