@@ -123,7 +123,7 @@ def read(path: Path) -> Told:
                 about=about,
             )
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
-        raise Unusable(path, f"it is a damaged HDF5 file ({str(error).partition(chr(10))[0]})") from None
+        raise Unusable(path, f"it is a damaged HDF5 file ({error})") from None
 
 
 def _numbers(

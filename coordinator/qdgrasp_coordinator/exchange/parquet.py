@@ -71,7 +71,7 @@ def read(path: Path) -> Told:
         about = read_about(path, metadata[KEY.encode()])
         return _told(table, about)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-        raise Unusable(path, f"it is a damaged Parquet file ({str(error).partition(chr(10))[0]})") from None
+        raise Unusable(path, f"it is a damaged Parquet file ({error})") from None
 
 
 def _told(table: Any, about: About) -> Told:

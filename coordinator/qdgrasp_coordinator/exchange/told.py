@@ -32,11 +32,11 @@ class Unusable(InputError):
     path
         The file.
     reason
-        Why not.
+        Why not; lines of others become one.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"No grasps can be read from '{path}': {reason}.")
+        super().__init__(f"No grasps can be read from '{path}': {' '.join(reason.split()).rstrip('.')}.")
 
 
 @dataclass(frozen=True)

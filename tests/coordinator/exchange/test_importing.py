@@ -303,6 +303,29 @@ def test_what_was_cut_off_is_refused(run: RunFolder, panda, tmp_path: Path, name
     check_refusal(panda, tmp_path / "cut", "it is a damaged")
 
 
+@pytest.mark.parametrize("name", ["acronym", "parquet", "isaac", "graspgen"])
+def test_what_was_damaged_anywhere_is_read_or_refused(run: RunFolder, tmp_path: Path, name: str) -> None:
+    export(run, tmp_path / "whole", name)
+    file = tmp_path / "whole" / "grasp_data" / "block.json" if name == "graspgen" else tmp_path / "whole"
+    hand, random = run.scene().gripper, np.random.default_rng(0)
+    sentences = []
+    for _ in range(60):
+        (tmp_path / "damaged").write_bytes(damaged(file.read_bytes(), random))
+        try:
+            importing.read_grasps(tmp_path / "damaged", hand, Thing(COM, 1.0))
+        except InputError as error:
+            sentences.append(str(error))
+    assert len(sentences) > 5
+    assert "\n" not in "".join(sentences)
+
+
+def damaged(content: bytes, random: np.random.Generator) -> bytes:
+    """With a byte or some that are others, gone, or too many."""
+    first = int(random.integers(len(content)))
+    gone, come = random.integers(0, 30, 2)
+    return content[:first] + random.bytes(int(come)) + content[first + int(gone) :]
+
+
 def test_a_parquet_file_of_others_is_refused(panda, tmp_path: Path) -> None:
     pyarrow.parquet.write_table(pa.table({"a": [1]}), tmp_path / "f.parquet")
     check_refusal(panda, tmp_path / "f.parquet", "not one that `qdgrasp export` wrote")
