@@ -159,5 +159,7 @@ def check_new(path: Path) -> None:
         raise AssetError(
             f"No mesh can be written to '{path}': name a file that ends with {', '.join(WRITTEN)}."
         )
+    if not path.absolute().parent.is_dir():
+        raise AssetError(f"'{path}' is in no folder that there is; make it, or name another file.")
     if path.exists():
         raise AssetError(f"'{path}' is there already, and is not written over; name another file.")

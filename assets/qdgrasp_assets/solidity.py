@@ -149,7 +149,7 @@ def _open(edges: Edges) -> str:
         return (
             f"it is not closed (watertight): {loose} edges have only one triangle, around {around} "
             f"{width(edges.mesh, holes[0]):.4f} m wide at {where}; close it in the program that drew it, or "
-            "have small holes filled with `qdgrasp object check --fill-holes`"
+            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`"
         )
     odd = np.flatnonzero(edges.times % 2)
     if len(odd):

@@ -1,6 +1,6 @@
 """Units of mesh files: what their coordinates are multiplied by to be metres."""
 
-from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 """Metres to a unit."""
@@ -9,6 +9,8 @@ LARGEST = 2.0
 """What a hand could grasp is smaller [m]."""
 SMALLEST = 0.002
 """What a hand could grasp is larger [m]."""
+MOST = 1_000_000
+"""Metres to a unit, as a spec allows."""
 MILLIMETRES = 10.0
 """A drawing that measures more of its units is hardly in another one."""
 ROUNDING = 1e-6
@@ -20,9 +22,14 @@ def scale_of(units: str | None, scale: float | None) -> float | None:
 
     Raises
     ------
-    UnknownName, InputError
-        There is no such unit, or both are given.
+    UnknownName, ImpossibleValue, InputError
+        There is no such unit, no mesh has that scale, or both are given.
     """
+    if scale is not None and not 0 < scale <= MOST:
+        expected = (
+            f"a number greater than 0 and at most {MOST} (metres to a unit of the mesh file: 0.001 for mm)"
+        )
+        raise ImpossibleValue("--scale", scale, expected)
     if units is None:
         return scale
     if units not in UNITS:

@@ -3,7 +3,7 @@
 import pytest
 
 from qdgrasp_assets.units import UNITS, advice, in_words, scale_of
-from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 
 
 def test_a_unit_is_a_scale():
@@ -15,6 +15,14 @@ def test_a_unit_is_a_scale():
 def test_a_unit_and_a_scale_at_once_are_refused():
     with pytest.raises(InputError, match=r"--units mm means --scale 0\.001: give only one"):
         scale_of("mm", 2.0)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), 1e7])
+def test_a_scale_that_no_mesh_has_is_refused(scale):
+    with pytest.raises(
+        ImpossibleValue, match=r"--scale must be a number greater than 0 and at most 1000000 .*got"
+    ):
+        scale_of(None, scale)
 
 
 def test_an_unknown_unit_is_answered_with_those_that_are_known():

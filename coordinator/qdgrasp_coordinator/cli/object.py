@@ -81,11 +81,10 @@ def check(
 
 
 def _checked(units: str | None, scale: float | None, mass: float | None) -> float | None:
-    """The scale, as a run would take it; and the mass."""
-    metres = scale_of(units, scale)
-    given = {"gripper": "", "object": "", "scale": metres, "mass": mass}
-    run_spec({name: value for name, value in given.items() if value is not None}, "object check")
-    return metres
+    """The scale [m], where it and the mass are such as a run takes."""
+    if mass is not None:
+        run_spec({"gripper": "", "object": "", "mass": mass}, "object check")
+    return scale_of(units, scale)
 
 
 def _found(file: str) -> Path:

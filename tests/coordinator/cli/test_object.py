@@ -172,7 +172,7 @@ def test_an_object_is_drawn_also_where_it_is_open(check, good):
     [
         (("--mass", 0), ImpossibleValue, r"mass must be a number greater than 0 .* \(kg\), got 0\.0"),
         (("--mass", -1), ImpossibleValue, r"mass must be"),
-        (("--scale", -1), ImpossibleValue, r"scale must be .*0\.001 for millimetres\), got -1\.0"),
+        (("--scale", -1), ImpossibleValue, r"scale must be .*0\.001 for mm\), got -1\.0"),
         (("--scale", 0), ImpossibleValue, r"scale must be"),
         (("--scale", "nan"), ImpossibleValue, r"scale must be"),
         (("--units", "ft"), UnknownName, r"Unknown unit 'ft'\. Known: cm, in, m, mm"),

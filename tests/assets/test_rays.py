@@ -1,0 +1,48 @@
+"""Rays at a mesh: how far it is, and how many times over a point is inside."""
+
+import numpy as np
+import pytest
+
+from qdgrasp_assets.mesh import Mesh, join
+from qdgrasp_assets.objects.solids import box, hull
+from qdgrasp_assets.rays import ahead, within
+from qdgrasp_assets.room import Room
+from qdgrasp_assets.surface import sample
+
+BLOCK = (0.02, 0.03, 0.05)
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+def inside(mesh: Mesh, *point: float) -> int:
+    return int(within(mesh, np.array([point]), UP)[0])
+
+
+def test_a_point_is_inside_as_many_bodies_as_are_around_it():
+    pair = join((box(BLOCK), box(BLOCK).moved((0.01, 0, 0.001))))
+    assert [inside(pair, x, 0.001, 0.002) for x in (-0.02, -0.005, 0.005, 0.015, 0.03)] == [0, 1, 2, 1, 0]
+
+
+def test_a_hollow_is_outside():
+    hollow = join((box(BLOCK), box(BLOCK).scaled(0.5).flipped()))
+    assert [inside(hollow, 0, 0, 0.001), inside(hollow, 0.007, 0, 0.001)] == [0, 1]
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (500, -300, 200)])
+def test_a_mesh_may_lie_anywhere(shift):
+    """Single precision has no tenth of a millimetre there."""
+    mesh = box(BLOCK).moved(shift)
+    points, drawn = sample(mesh, 500, seed=0)
+    normals = mesh.normals[drawn]
+    assert not within(mesh, points + 1e-5 * normals, normals).any()
+    assert (within(mesh, points - 1e-5 * normals, normals) == 1).all()
+    across = ahead(mesh, np.mean(mesh.bounds, axis=0)[None], UP)
+    assert across == pytest.approx([0.025], abs=1e-6)
+    assert Room(mesh).fit((hull(mesh.vertices),)).is_good
+
+
+def test_room_is_not_looked_for_inside_of_bodies_that_overlap():
+    pair = join((box(BLOCK), box(BLOCK).moved((0.01, 0, 0))))
+    room = Room(pair)
+    assert room.inside == pytest.approx(0.24, abs=0.02)
+    assert room.fit((hull(pair.vertices),)).is_good
+    assert Room(box(BLOCK)).inside == 0
