@@ -8,12 +8,12 @@ import typer
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folders.folder import RunFolder
 
-NAMES = "isaac, acronym, graspgen, parquet, moveit or csv"
-
 
 def export(
     directory: options.RunDir,
-    name: Annotated[str, typer.Option("--format", help=f"{NAMES[0].upper()}{NAMES[1:]}.")],
+    name: Annotated[
+        str, typer.Option("--format", help="One of isaac, acronym, graspgen, parquet, moveit, csv.")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The file; for graspgen a folder.")],
     min_fitness: Annotated[
         int, typer.Option(min=0, max=2, help="Shakes survived, at least; 0 takes all successes.")
