@@ -24,9 +24,10 @@ from qdgrasp_coordinator.watching.supervisor import Team
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Rows
 
 JOB = "verify"
-TRIALS = 1 << 4
+TRIALS = 16
 """What the kind of a row has beside its outcome where it is a trial."""
 
 
@@ -132,12 +133,16 @@ def _stocks(folder: RunFolder) -> Iterator[Stock]:
     """The rows of a folder that can be compared, run by run."""
     with folder.journal() as journal:
         for found_by in provenances(folder, journal):
-            blocks = list(journal.kept(found_by.rows.start, found_by.rows.stop))
-            outcomes = np.concatenate([np.zeros(0, np.uint8), *(rows["outcome"] for rows in blocks)])
-            trials = np.concatenate([np.zeros(0, np.uint16), *(rows["trial"] for rows in blocks)])
-            places = np.flatnonzero(outcomes != Outcome.ERROR)
-            kinds = (outcomes + TRIALS * (trials > 0)).astype(np.uint8)[places]
-            yield Stock(folder, found_by, places + found_by.rows.start, kinds)
+            blocks = journal.kept(found_by.rows.start, found_by.rows.stop)
+            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *map(_kinds, blocks)])
+            places = np.flatnonzero(kinds % TRIALS != Outcome.ERROR)
+            yield Stock(folder, found_by, places + found_by.rows.start, kinds[places])
+
+
+def _kinds(rows: Rows) -> NDArray[np.uint8]:
+    """What kind each row is of: (n,)."""
+    kinds: NDArray[np.uint8] = rows["outcome"] + np.where(rows["trial"] > 0, TRIALS, 0).astype(np.uint8)
+    return kinds
 
 
 def _lots(stocks: Sequence[Stock], places: NDArray[np.int64]) -> Iterator[Lot]:
