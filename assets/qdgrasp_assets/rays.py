@@ -27,8 +27,8 @@ def ahead(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.float32]
 def within(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.int64]:
     """How many times over points (n, 3) are inside a closed mesh: (n,); 0 outside.
 
-    Counted is how much more often a ray from each, in directions (n, 3), unit, leaves it than enters it; walls
-    that are nearer to each other than a micrometre count as one.
+    Counted is how much more often a ray from each, in directions (n, 3), unit, leaves it than enters it;
+    walls nearer to each other than a micrometre count as one.
     """
     middle = _middle(mesh)
     scene, normals = _scene(mesh, middle), mesh.crosses
