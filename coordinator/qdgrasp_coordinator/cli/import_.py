@@ -12,7 +12,7 @@ from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.spec import RunSpec
 
 if TYPE_CHECKING:
-    from qdgrasp_coordinator.exchange.about import About
+    from qdgrasp_coordinator.exchange.importing import Imported
 
 
 def import_(
@@ -48,7 +48,7 @@ def import_(
     metres = scale_of(units, scale)
     told_in = None if frame is None else frame_of(frame)
     found = read_grasps(file, hand_of(gripper), thing_of(object_, metres), told_in)
-    flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found.about, object_)
+    flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
     flags |= {"poses": out, "out": out.with_name("scores.npz")}
     found.write(out)
     for note in found.notes:
@@ -58,12 +58,13 @@ def import_(
     typer.echo(f"  qdgrasp evaluate {shlex.join(words)}")
 
 
-def _conditions(about: "About | None", object_: str) -> dict[str, object]:
-    """What a file of ours says that its grasps were found under, as flags."""
+def _conditions(found: "Imported", object_: str) -> dict[str, object]:
+    """What the file says that its grasps were found under, as flags."""
+    about = found.about
     spec = about.runs[0].asked if about and about.runs else RunSpec(gripper="", object="")
-    mass = about.object_mass if about else "KG"
+    mass = about.object_mass if about else found.mass or "KG"
     return {
         "mass": mass if Path(object_).suffix else spec.mass,
-        "friction": spec.friction,
+        "friction": spec.friction if about else found.friction,
         "protocol": None if spec.protocol == "paper" else spec.protocol,
     }

@@ -33,7 +33,6 @@ SUCCESSES = "grasps/qualities/flex/object_in_gripper"
 JOINTS, SYNERGIES = "gripper/joint_names", "gripper/synergy_names"
 STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
-SCALE = "object/scale"
 MOST_WORDS = 1000
 """Joints or synergies of a hand, at most."""
 
@@ -119,7 +118,9 @@ def read(path: Path) -> Told:
                 starts=_starts(path, file, count),
                 synergies=_synergies(path, file, count),
                 confidence=_numbers(path, file, quality, (), count, np.full(count, np.nan)),
-                scale=float(file[SCALE][()]) if SCALE in file else None,
+                scale=_scalar(path, file, "object/scale"),
+                mass=_scalar(path, file, "object/mass"),
+                friction=_scalar(path, file, "object/friction"),
                 about=about,
             )
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
@@ -148,6 +149,17 @@ def _numbers(
         raise Unusable(path, f"it has {found[0]} grasps; at most {MOST} are read")
     numbers: Floats = data[()].astype(np.float64)
     return numbers
+
+
+def _scalar(path: Path, file: Any, name: str) -> float | None:
+    """A number greater than zero; None: it is not told."""
+    if name not in file:
+        return None
+    data = file[name]
+    value = float(data[()]) if data.shape == () and data.dtype.kind in "fiu" else np.nan
+    if not 0 < value < np.inf:
+        raise Unusable(path, f"its dataset '{name}' must be a number greater than 0")
+    return value
 
 
 def _starts(path: Path, file: Any, count: int) -> dict[str, Floats]:

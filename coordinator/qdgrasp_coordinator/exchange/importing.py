@@ -18,6 +18,8 @@ from qdgrasp_protocol.genome import NO_SYNERGY
 
 NEAR = 1e-9
 """Two lengths that differ by less are the same [m]."""
+ALIKE = 1e-6
+"""Two scales that differ by a smaller share are the same."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,10 @@ class Imported:
     """What is not as the file says, a sentence each."""
     about: About | None
     """What the file says of itself, if it is one of ours."""
+    mass: float | None
+    """Of the object, as the file says [kg]; None: it does not."""
+    friction: float | None
+    """The same of its lateral friction."""
 
     def __len__(self) -> int:
         return len(self.arrays["name"])
@@ -71,7 +77,7 @@ def read_grasps(path: Path, hand: SceneGripper, thing: Thing, frame: Frame | Non
         "name": told.names,
         "confidence": np.full(len(told), np.nan) if told.confidence is None else told.confidence,
     }
-    return Imported(arrays, tuple(_notes(told, hand, thing)), told.about)
+    return Imported(arrays, tuple(_notes(told, hand, thing)), told.about, told.mass, told.friction)
 
 
 def _poses(told: Told, hand: SceneGripper, thing: Thing, frame: Frame | None) -> Floats:
@@ -111,7 +117,7 @@ def _spreads(path: Path, told: Told, hand: SceneGripper) -> Floats:
 def _notes(told: Told, hand: SceneGripper, thing: Thing) -> list[str]:
     """What is not as the file says, a sentence each."""
     notes = []
-    if told.scale is not None and abs(told.scale / thing.scale - 1) > NEAR and not _is_built_in(told):
+    if told.scale is not None and abs(told.scale / thing.scale - 1) > ALIKE and not _is_built_in(told):
         notes.append(
             f"The file scales its mesh by {told.scale:.16g}, and here it is scaled by {thing.scale:.16g}: if "
             f"it is the same mesh, add --scale {told.scale:.16g}."

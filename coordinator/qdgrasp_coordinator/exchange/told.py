@@ -59,6 +59,10 @@ class Told:
     """(n,); None: not told."""
     scale: float | None = None
     """What the object's mesh is scaled by; None: not told."""
+    mass: float | None = None
+    """Of the object [kg]; None: not told."""
+    friction: float | None = None
+    """Lateral coefficient of the object; None: not told."""
     about: About | None = None
     """None: the file is not one of ours."""
 

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
@@ -273,6 +274,8 @@ BAD_DATASETS = {
     "another synergy": ({"gripper__synergy_names": ["a"], "grasps__synergy": [0]}, "it names synergy 'a'"),
     "too few numbers": ({"qdgrasp__number": [1, 2]}, "'qdgrasp/number' must be numbers of shape (1)"),
     "words": ({"qdgrasp__about": "{}"}, "what it says of itself cannot be read"),
+    "no weight": ({"object__mass": -1.0}, "'object/mass' must be a number greater than 0"),
+    "a list": ({"object__friction": [1.0, 2.0]}, "'object/friction' must be a number greater than 0"),
 }
 
 
@@ -381,6 +384,15 @@ def test_the_command_writes_poses_for_evaluate_and_says_how_to_score_them(tmp_pa
         f"  qdgrasp evaluate --gripper panda --object mug --poses {out} --out {scores}",
     ]
     np.testing.assert_allclose(read_poses(out).positions, [POSITION - thing_of("mug").com_in_mesh], atol=1e-7)
+
+
+def test_what_a_file_says_of_a_mesh_is_in_the_command_that_scores_it(tmp_path: Path) -> None:
+    trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "box.stl")
+    acronym(tmp_path / "f.h5", [matrix()], object__mass=0.25, object__friction=1.0)
+    asked = ("--gripper", "panda", "--object", tmp_path / "box.stl", "-o", tmp_path / "p.npz")
+    assert "--mass 0.25 --friction 1.0 --poses" in command(tmp_path / "f.h5", *asked).stdout
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    assert "box.stl --mass KG --poses" in command(tmp_path / "f.yaml", *asked, "--force").stdout
 
 
 def test_what_is_there_is_replaced_by_force_alone(tmp_path: Path) -> None:
