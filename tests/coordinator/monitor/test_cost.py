@@ -34,9 +34,11 @@ class Counted(LocalBus):
     def __init__(self, network: LocalNetwork) -> None:
         super().__init__(network)
         self.keys: list[str] = []
+        self.channels: set[Channel] = set()
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
         self.keys.append(key)
+        self.channels.add(channel)
         super().put(key, payload, encoding=encoding, channel=channel)
 
 
@@ -126,3 +128,11 @@ def test_a_coordinator_sends_the_same_to_nobody_and_to_twenty() -> None:
 def test_what_a_coordinator_keeps_does_not_grow_with_those_who_watch() -> None:
     kept(1)  # what is remembered of the first time
     assert kept(10) <= kept(0) + 4096
+
+
+def test_all_that_is_shown_is_dropped_before_anybody_waits() -> None:
+    coordinator = Coordinator(LocalNetwork())
+    with coordinator.open():
+        coordinator.board.publish_meta("mine")
+        coordinator.show()
+    assert coordinator.bus.channels == {Channel.MONITOR}

@@ -5,7 +5,7 @@ import os
 import resource
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,17 +18,18 @@ from tests.endpoints import own_endpoint
 
 from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_protocol import session
-from qdgrasp_protocol.bus import Bus, Channel
+from qdgrasp_protocol.bus import Bus, Channel, Query
 from qdgrasp_protocol.errors import BusError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 KEYS = Keys(JOB)
 FLOOD, LAST = KEYS.event("flood"), KEYS.event("last")
+HEAVY = f"{KEYS.root}/heavy/*"
 PIECE, PIECES = 64 << 10, 2000
 """Much more than lies in any buffer between a router and a monitor."""
 MOST_GROWN = PIECE * PIECES // 4
-ASKERS = 4
+ASKERS, ANSWERS = 4, 64
 ROWS = 200
 PATIENT = patch.dict(session.SETTINGS, {"transport/link/tx/lease": 60_000})
 """However slow this machine is, nobody who stands still meanwhile is taken for dead."""
@@ -73,12 +74,19 @@ def ask(bus: Bus, is_over: threading.Event) -> None:
             return
 
 
+def asker(pipe: Connection, endpoint: str) -> None:
+    """Ask for more than lies in any buffer."""
+    with PATIENT, ZenohBus.connect(endpoint, 10.0) as bus:
+        pipe.send("there")
+        bus.ask_all(HEAVY, timeout=60.0)
+
+
 @contextmanager
-def watching(endpoint: str) -> Iterator[tuple[int, Connection]]:
-    """A process that watches, and a pipe to it."""
+def running(what: Callable[[Connection, str], None], endpoint: str) -> Iterator[tuple[int, Connection]]:
+    """A process that does this, and a pipe to it."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
-    process = context.Process(target=monitor, args=(there, endpoint), daemon=True)
+    process = context.Process(target=what, args=(there, endpoint), daemon=True)
     process.start()
     assert process.pid is not None
     try:
@@ -101,7 +109,7 @@ def test_a_monitor_that_is_stopped_keeps_nobody_waiting_and_takes_no_memory() ->
         job.serving(),
         job.network.session() as worker,
         Pretender(worker, "a" * 32).at_work() as pretender,
-        watching(network.endpoint) as (pid, pipe),
+        running(monitor, network.endpoint) as (pid, pipe),
     ):
         assert pipe.recv() == "there"
         os.kill(pid, signal.SIGSTOP)
@@ -117,3 +125,29 @@ def test_a_monitor_that_is_stopped_keeps_nobody_waiting_and_takes_no_memory() ->
     assert grown < MOST_GROWN
     assert lost == 0, "whoever is waited for is cut off after a while"
     assert heard < PIECES, "there was room for all that it did not read"
+
+
+@PATIENT
+def test_answers_that_a_stopped_monitor_does_not_take_hold_nobody_up() -> None:
+    network, is_asked, may_answer = Routed(), threading.Event(), threading.Event()
+    job = Job({"run-0": Plan(population=50, evaluations=10**6)}, network=network)
+
+    def answers(_query: Query) -> dict[str, bytes]:
+        is_asked.set()
+        may_answer.wait()
+        return {f"{KEYS.root}/heavy/{number}": bytes(1 << 20) for number in range(ANSWERS)}
+
+    with (
+        job.serving(),
+        job.bus.show(HEAVY, answers),
+        job.network.session() as worker,
+        Pretender(worker, "a" * 32).at_work() as pretender,
+        job.network.session() as other,
+        running(asker, network.endpoint) as (pid, _),
+    ):
+        is_asked.wait()
+        os.kill(pid, signal.SIGSTOP)
+        rows = pretender.rows
+        may_answer.set()
+        until(lambda: pretender.rows > rows + ROWS)
+        until(lambda: KEYS.stat("job") in other.ask_all(KEYS.stat()))
