@@ -15,8 +15,8 @@ CELLS = re.compile(r"^[1-9]\S* cells of 1 cm")
 def test_the_page_shows_a_job_from_its_beginning_to_its_end_whoever_dies(qdgrasp: Commands) -> None:
     from playwright.sync_api import expect
 
-    watched = Watched(qdgrasp, "balls", *SMALL, "--method", "contact_me_scs", "--evaluations", 600)
-    with browser.launched() as chromium:
+    with browser.launched() as chromium:  # first: on a busy machine it takes as long as the job
+        watched = Watched(qdgrasp, "balls", *SMALL, "--method", "contact_me_scs", "--evaluations", 1500)
         visit = browser.Visit(chromium, f"{watched.address}#job=balls")
         page = visit.page
         page.evaluate("() => (window.kept = true)")
@@ -35,7 +35,7 @@ def test_the_page_shows_a_job_from_its_beginning_to_its_end_whoever_dies(qdgrasp
 
         watched.ends()
         expect(page.locator("#state")).to_have_text(re.compile("^ended: "), timeout=PATIENCE)
-        assert number(done.inner_text().partition(" (")[0]) == 600_600
+        assert number(done.inner_text().partition(" (")[0]) == 1500_1500
         info = qdgrasp.info("run")
         for name in ("Successes", "Cells", "Grasps", "Robust"):
             assert number(figure(page, name).inner_text()) == info[name.lower()]
