@@ -178,8 +178,10 @@ def test_every_link_is_drawn_where_forward_kinematics_puts_it(watched):
     shown = {link: watched.seen.links == number for link, number in watched.numbers.items()}
     shown = {link: mask for link, mask in shown.items() if mask.any()}
     assert set(watched.fingers) & set(shown)
+    corners = {link: watched.corners(link) for link in shown}
     for link, mask in shown.items():
-        assert within(mask, watched.camera.pixels(watched.corners(link))), link
+        assert within(mask, watched.camera.pixels(corners[link])), link
+    assert not all(within(mask, watched.camera.pixels(corners[link] + 0.005)) for link, mask in shown.items())
 
 
 def test_the_middle_of_every_finger_link_lies_in_what_is_drawn(watched):
