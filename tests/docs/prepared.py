@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from tests.coordinator.scenes import JAW
+from tests.assets.hands import jaw
 from tests.docs.blocks import ROOT
 from tests.system.commands import Commands
 
@@ -37,27 +37,6 @@ method = "aimed"
 seed = [0, 1, 2]
 """
 """All runs that are assumed: of one campaign, for one worker is started sooner than six."""
-JAW_TOML = """
-urdf = "my_hand.urdf"
-licence = "Apache-2.0"
-base_link = "palm"
-approach_axis = [0, 0, 1]
-palm_offset = 0.06
-standoff = [0.0, 0.05]
-finger_links = ["left_finger", "right_finger"]
-
-[jaw]
-axis = [0, 1, 0]
-opening = 0.08
-
-[joints.left]
-open = 0.04
-closed = 0.0
-
-[joints.right]
-open = 0.04
-closed = 0.0
-"""
 SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "contact_me_scs"\npopulation = 30\nevaluations = 200\n'
 MANY = """
 [defaults]
@@ -136,7 +115,7 @@ def parts(_: Prepared, path: Path) -> None:
 
 
 def my_hand(prepared: Prepared, path: Path) -> None:
-    path.write_text(JAW_TOML)
+    path.write_text(jaw.TOML.replace("jaw.urdf", "my_hand.urdf"))
     prepared.make("my_hand.urdf")
 
 
@@ -211,7 +190,7 @@ MAKERS: dict[str, Maker] = {
     "many.toml": lambda _, path: path.write_text(MANY) and None,
     "mugs.toml": lambda _, path: path.write_text(SPEC) and None,
     "my_hand.toml": my_hand,
-    "my_hand.urdf": lambda _, path: path.write_text(JAW) and None,
+    "my_hand.urdf": lambda _, path: path.write_text(jaw.URDF) and None,
     "part.stl": part,
     "parts": parts,
     "poses.npz": poses,

@@ -20,6 +20,7 @@ ELSEWHERE = {
 
 LONG = re.compile(
     r"qdgrasp (bench|campaign|analyse|rerank|verify|security check|jobs|pause|continue|drain|cancel)"
+    r"|qdgrasp gripper new .*--mend"
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
     r"|qdgrasp resume .*--evaluations"

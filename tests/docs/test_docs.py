@@ -28,7 +28,7 @@ APPS = {
     "qdgrasp-worker": worker.app,
 }
 IMPORT = re.compile(r"^(?:import|from) (\w+)", re.MULTILINE)
-OTHERS = r"(sqlite3|curl|jq) "
+OTHERS = r"(sqlite3|curl|jq|cp) "
 """Programs of others that lines are run with, where they are installed."""
 LINES = [line for page in PAGES for block in blocks(page, *SHELL) for line in block.lines]
 OURS = [line for line in LINES if line.is_ours]

@@ -37,7 +37,6 @@ CASES = {
     ),
     "allegro_boxes": ("mani-skill", f"{MANI}/allegro/allegro_hand_right.urdf", "mug"),
     "ability": ("mani-skill", f"{MANI}/ability_hand/ability_hand_right.urdf", "tennis_ball"),
-    "dclaw": ("mani-skill", f"{MANI}/dclaw/dclaw_gripper_glb.urdf", "tennis_ball"),
 }
 """Hands in public packages: the package, the URDF below a folder of Python's path, and an object."""
 
@@ -107,7 +106,7 @@ def test_a_hand_of_a_public_package_is_guessed_and_grasps(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("packaged", ["xarm", "pr2", "allegro_boxes", "ability", "dclaw"], indirect=True)
+@pytest.mark.parametrize("packaged", ["xarm", "pr2", "allegro_boxes", "ability"], indirect=True)
 def test_a_hand_of_a_public_package_is_mended_and_grasps(
     packaged: tuple[Path, str], tmp_path: Path, draw: Callable[..., np.ndarray]
 ) -> None:

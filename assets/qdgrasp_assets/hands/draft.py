@@ -31,6 +31,8 @@ class Told:
 
     licence: str | None = None
     base_link: str | None = None
+    base_reason: str = TOLD
+    """Why the base link is this one."""
     approach_axis: Vector | None = None
     palm_offset: float | None = None
     standoff: tuple[float, float] | None = None
@@ -107,7 +109,7 @@ def _base(robot: Urdf, told: Told) -> tuple[str, str]:
         return guess_base(robot)
     if told.base_link not in robot.links:
         raise UnknownName("link", told.base_link, robot.links)
-    return told.base_link, TOLD
+    return told.base_link, told.base_reason
 
 
 def _check_names(body: Body, told: Told) -> None:

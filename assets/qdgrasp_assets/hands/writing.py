@@ -11,8 +11,9 @@ from qdgrasp_assets.hands.draft import Draft
 
 WIDTH = 108
 HEAD = """\
-Guessed from '{urdf}' by `qdgrasp gripper new`: look at each line, every one may be changed.
-What the keys mean: docs/grippers.md. After a change: qdgrasp gripper check {name} --picture pictures"""
+What `qdgrasp gripper new` guessed of '{urdf}': look at each line, and change what is not so.
+What the keys mean: docs/grippers.md.
+After a change: qdgrasp gripper check {name} --picture pictures"""
 PLAIN = ("licence", "base_link", "approach_axis", "palm_offset", "standoff", "finger_links")
 UNITS = {
     "palm_offset": "[m]",
@@ -67,7 +68,7 @@ def _value(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Iterable):
         return _list([_value(each) for each in value])
-    return f"{value:.6g}" if value != int(value) else f"{value:.1f}"
+    return repr(round(float(value), 6) + 0.0)
 
 
 def _list(values: list[str]) -> str:

@@ -163,7 +163,7 @@ def _whole(urdf: Path) -> Urdf:
 
 def _usable(robot: Urdf, told: Told, target: Path, *, mend: bool, asks: bool) -> tuple[Urdf, Told]:
     """The robot, or a mended copy of its hand, with the base link that is to be used."""
-    base = told.base_link or guess_base(robot)[0]
+    base, reason = (told.base_link, told.base_reason) if told.base_link else guess_base(robot)
     if base not in robot.links:
         return robot, told
     faults = hand_faults(robot, base)
@@ -183,7 +183,9 @@ def _usable(robot: Urdf, told: Told, target: Path, *, mend: bool, asks: bool) ->
     for change in copy.changes or ("nothing had to be",):
         typer.echo(f"mended: {change}")
     typer.echo(f"written: {mended_urdf(target)}")
-    return copy.robot, replace(told, base_link=copy.base)
+    return copy.robot, replace(
+        told, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
+    )
 
 
 def _tell(sentence: str) -> None:

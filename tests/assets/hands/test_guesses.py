@@ -231,3 +231,10 @@ def test_a_hand_that_is_turned_is_guessed_alike(jaw_urdf, edit, turn):
     assert turned.standoff == pytest.approx(still.standoff, abs=1e-4)
     assert turned.jaw is not None
     assert abs(np.dot(turned.jaw.axis, rotation @ still.jaw.axis)) == pytest.approx(1.0)
+
+
+def test_a_limit_is_written_to_the_last_digit_that_counts(jaw_urdf, edit):
+    edit(jaw_urdf, 'lower="-0.04"', 'lower="-0.0394395102393"')
+    target = jaw_urdf.parent / "own.toml"
+    target.write_text(toml(guessed(jaw_urdf), target.name))
+    assert examine(target, "own").faults == ()
