@@ -37,7 +37,7 @@ method = "aimed"
 seed = [0, 1, 2]
 """
 """All runs that are assumed: of one campaign, for one worker is started sooner than six."""
-SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "contact_me_scs"\npopulation = 30\nevaluations = 200\n'
+SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "aimed"\nevaluations = 150\n'
 MANY = """
 [defaults]
 gripper = "panda"
