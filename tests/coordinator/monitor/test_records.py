@@ -132,6 +132,19 @@ def test_the_command_that_is_shown_prints_the_grasp(
     assert "outcome          shaken: one of the two shakes was survived" in said.stdout
 
 
+def test_a_recorder_s_folder_whose_name_is_no_text_breaks_nothing(
+    folder: RunFolder, network: LocalNetwork
+) -> None:
+    odd = folder.path.rename(os.fsdecode(os.fsencode(folder.path.parent) + b"/m\xffug"))
+    with network.session() as bus, network.session() as ours, Librarian(bus, "mug", odd):
+        records = BusRecords(ours)
+        (entry,) = records.entries("mug").runs
+        assert entry.folder.endswith(r"m\udcffug")
+        number = int(records.page("mug", "run", 0).found["number"][0])
+        told = json.loads(Exhibits(records).grasp("mug", "run", number))
+    assert r"m\udcffug" in told["commands"][0]
+
+
 @pytest.mark.parametrize(
     ("place", "command"),
     [
