@@ -107,10 +107,39 @@ def test_a_box_shows_what_is_in_it(page: Page) -> None:
     expect(page.locator("#scene-filters summary")).to_have_text("Filters 2 in use")
 
 
-def test_one_handle_does_not_go_beyond_the_other(page: Page) -> None:
+def test_one_handle_takes_the_other_along_rather_than_go_beyond_it(page: Page) -> None:
     slide(page, "x highest", -3)
     slide(page, "x lowest", 5)
-    assert page.get_by_label("x lowest").input_value() == "-3"
+    assert values(page) == ["5", "5"]
+    expect(page.locator("#scene-words")).to_have_text("0 of 5 cells of 1 cm")
+
+
+def test_two_handles_in_one_place_are_drawn_either_way(page: Page) -> None:
+    for name in ("x lowest", "x highest"):
+        slide(page, name, 0)
+    drag(page, "x highest", -4)
+    assert values(page) == ["-4", "-4"]
+    drag(page, "x highest", 6)
+    assert values(page) == ["-4", "6"]
+
+
+def drag(page: Page, name: str, to: float) -> None:
+    """Draw a handle of the axis, from -9 to 9, with the mouse."""
+    handle = page.get_by_label(name)
+    handle.scroll_into_view_if_needed()
+    place = handle.bounding_box()
+    height = place["y"] + place["height"] / 2
+    at = [
+        place["x"] + 8 + (value + 9) / 18 * (place["width"] - 16) for value in (int(handle.input_value()), to)
+    ]
+    page.mouse.move(at[0], height)
+    page.mouse.down()
+    page.mouse.move(at[1], height, steps=4)
+    page.mouse.up()
+
+
+def values(page: Page) -> list[str]:
+    return [page.get_by_label(f"x {end}").input_value() for end in ("lowest", "highest")]
 
 
 def test_show_all_takes_every_filter_back(page: Page) -> None:

@@ -51,11 +51,10 @@ export class Span {
     return handle;
   }
 
-  /** Neither handle goes beyond the other. */
+  /** A handle takes the other along, rather than go beyond it; so two in one place can be drawn either way. */
   #moved(end) {
     const [mine, other] = end === "lowest" ? [this.low, this.high] : [this.high, this.low];
-    const beyond = Number(this.low.value) > Number(this.high.value);
-    if (beyond) mine.value = other.value;
+    if (Number(this.low.value) > Number(this.high.value)) other.value = mine.value;
     this.#say();
     this.onchange(this.from, this.upto);
   }
