@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 
 from qdgrasp_assets.hands.structure import listed
 
+PAIR = 2
 LIMITED = ("revolute", "prismatic")
 KINDS = {
     "fixed": "",
@@ -39,6 +40,8 @@ def _faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]) -> I
     leader = None if mimic is None else mimic.get("joint", "")
     if leader is not None and (leader not in joints or leader == name):
         yield f"the joint '{name}' mimics '{leader}', which is no other joint of the robot; correct the name"
+    if mimic is not None and len(_numbers(f"{mimic.get('multiplier', 1)} {mimic.get('offset', 0)}")) != PAIR:
+        yield f"the joint '{name}' mimics another by what is no number; correct multiplier and offset"
 
 
 def _reversed(joints: Mapping[str, ET.Element]) -> Iterator[str]:
@@ -61,7 +64,7 @@ def _limits(joint: ET.Element) -> tuple[float, float]:
     """Lower and upper limit; a range where they are not to be judged."""
     limit = joint.find("limit")
     found = [] if limit is None else _numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}")
-    return (found[0], found[1]) if len(found) == 2 else (0.0, 1.0)
+    return (found[0], found[1]) if len(found) == PAIR else (0.0, 1.0)
 
 
 def _numbers(text: str) -> list[float]:

@@ -4,13 +4,18 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
+MEASURES = frozenset(
+    ("xyz", "rpy", "size", "scale", "radius", "length", "lower", "upper", "effort", "velocity", "value")
+)
+"""Attributes that hold numbers of which something is made."""
+ENDLESS = frozenset(("nan", "inf", "infinity"))
 MOST_NAMED = 4
 """So many names are told of each fault."""
 
 
 def structure_faults(element: ET.Element) -> tuple[str, ...]:
     """What keeps the links and joints of a `<robot>` from being one tree; empty when nothing does."""
-    return (*_names(element), *_ends(element), *_tree(element))
+    return (*_names(element), *_ends(element), *_tree(element), *_numbers(element))
 
 
 def _names(element: ET.Element) -> Iterator[str]:
@@ -58,6 +63,14 @@ def _tree(element: ET.Element) -> Iterator[str]:
     round_about = sorted(set(links) - _reached(element, roots))
     if round_about:
         yield f"{listed('link', round_about)} carried by itself in a circle of joints; cut the circle"
+
+
+def _numbers(element: ET.Element) -> Iterator[str]:
+    """Numbers that are none, which `float` takes for some."""
+    for each in element.iter():
+        for name, value in each.attrib.items():
+            if name in MEASURES and any(word.lower().lstrip("+-") in ENDLESS for word in value.split()):
+                yield f'<{each.tag} {name}="{value}"> holds a number that is not finite; correct it'
 
 
 def _reached(element: ET.Element, roots: Iterable[str]) -> set[str]:

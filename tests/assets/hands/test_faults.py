@@ -41,6 +41,8 @@ def faults(toml):
         ('<limit lower="-0.04" upper="0" effort="60" velocity="0.2"/>', "", "'slide' is prismatic and has"),
         ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', "the joint 'slide' has the axis '0 0 0'; an axis has a"),
         ('axis xyz="0 1 0"', 'axis xyz="0 up 0"', "must hold 3 numbers"),
+        ('xyz="0 0 0.03"', 'xyz="0 0 nan"', "holds a number that is not finite; correct it"),
+        ('<mimic joint="slide"', '<mimic multiplier="x" joint="slide"', "mimics another by what is no"),
         ('mimic joint="slide"', 'mimic joint="sled"', "the joint 'other' mimics 'sled', which is no other"),
         ('mass value="0.1"', 'mass value="0"', "the links 'left', 'right' are of mass 0, which the"),
         ('mass value="0.1"', 'mass value="-1"', "are of a negative mass: give it in kg"),
