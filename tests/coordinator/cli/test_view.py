@@ -1,8 +1,12 @@
 """The grasps of runs in folders, on a page."""
 
 from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
 
 import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
 from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli.main import app
@@ -47,3 +51,25 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     refused = CliRunner().invoke(app, ["view", str(tmp_path)])
     assert isinstance(refused.exception, FolderError)
     assert "holds no run and no campaign, nor does a folder in it" in str(refused.exception)
+
+
+@pytest.mark.parametrize(("flags", "is_opened"), [([], True), (["--no-open"], False)])
+def test_the_address_is_printed_and_opened_unless_somebody_says_no(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: list[str], is_opened: bool
+) -> None:
+    seen, address = SimpleQueue[str](), "http://127.0.0.1:8080/"
+
+    def serve(*given: Any) -> None:
+        given[-1](address)
+        if is_opened:
+            seen.put(seen.get(timeout=30))  # until the browser has heard of it
+
+    monkeypatch.setattr("qdgrasp_coordinator.monitor.web.app.serve", serve)
+    monkeypatch.setattr("webbrowser.open", seen.put)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.delenv("SSH_CONNECTION", raising=False)
+    path = record(tmp_path / "mug", made_scene(), random_rows(5)).path
+    done = CliRunner().invoke(app, ["view", str(path), *flags])
+    assert done.exit_code == 0, done.exception
+    assert done.stdout == f"The grasps are shown at {address} until Ctrl-C.\n"
+    assert seen.empty() is not is_opened
