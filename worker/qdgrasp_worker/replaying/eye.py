@@ -30,10 +30,10 @@ LAMP = (-0.5, 1.0, 1.0)
 """Whence the light comes, in the camera's axes: over the left shoulder of whoever looks."""
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
-<visual><geometry><mesh filename="shape.obj"/></geometry></visual>
 <collision><geometry><mesh filename="shape.obj"/></geometry></collision>
 </link></robot>
 """
+"""The renderer draws the shape that collides where there is no other."""
 LINK_BITS = 24
 """Where in a number of the renderer's mask the link begins; below it is the body."""
 NOTHING = -2
