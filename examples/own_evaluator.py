@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import qdgrasp
-from qdgrasp import Candidates, Outcome, Verdicts
+from qdgrasp import Hands, Outcome, Verdicts
 
 NEAR = {Outcome.HELD: 0.01, Outcome.SHAKEN: 0.02, Outcome.DROPPED: 0.04}  # [m]
 
@@ -21,8 +21,8 @@ class Aim:
     def __init__(self, scene: qdgrasp.Scene) -> None:
         self.axis = scene.gripper.approach_axis
 
-    def __call__(self, candidates: Candidates) -> Verdicts:
-        positions, quaternions = np.split(candidates.base_to_object, [3], axis=1)
+    def __call__(self, hands: Hands) -> Verdicts:
+        positions, quaternions = np.split(hands.base_to_object, [3], axis=1)
         axes = Rotation.from_quat(quaternions).apply(self.axis)
         misses = np.linalg.norm(np.cross(positions, axes), axis=1)
         return Verdicts(np.select([misses < near for near in NEAR.values()], list(NEAR), Outcome.MISSED))

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from qdgrasp_protocol.outcome import Outcome
     from qdgrasp_protocol.rows import Rows
     from qdgrasp_protocol.spec import RunSpec
-    from qdgrasp_worker.serving.candidates import Candidates, Verdicts
+    from qdgrasp_worker.serving.judge import Hands, Verdicts
 
 HOMES = {
-    "Candidates": "qdgrasp_worker.serving.candidates",
     "Evaluations": "qdgrasp.evaluations",
     "Genomes": "qdgrasp_protocol.genome",
     "Grasp": "qdgrasp_coordinator.exchange.grasps",
     "Grasps": "qdgrasp_coordinator.exchange.grasps",
+    "Hands": "qdgrasp_worker.serving.judge",
     "InputError": "qdgrasp_protocol.errors",
     "Layout": "qdgrasp_protocol.genome",
     "Outcome": "qdgrasp_protocol.outcome",
@@ -46,7 +46,7 @@ HOMES = {
     "RunSpec": "qdgrasp_protocol.spec",
     "Scene": "qdgrasp_assets.scene",
     "Search": "qdgrasp.optimising",
-    "Verdicts": "qdgrasp_worker.serving.candidates",
+    "Verdicts": "qdgrasp_worker.serving.judge",
     "evaluate": "qdgrasp.scoring",
     "open": "qdgrasp.runs",
     "optimise": "qdgrasp.optimising",
@@ -55,11 +55,11 @@ HOMES = {
 """The module of each name, loaded when the name is used first."""
 
 __all__ = [
-    "Candidates",
     "Evaluations",
     "Genomes",
     "Grasp",
     "Grasps",
+    "Hands",
     "InputError",
     "Layout",
     "Outcome",

@@ -6,7 +6,7 @@ import sys
 
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_worker.cli import app
-from qdgrasp_worker.serving.candidates import Make
+from qdgrasp_worker.serving.judge import Make
 
 
 def serve(
@@ -28,9 +28,9 @@ def serve(
     Parameters
     ----------
     evaluator
-        Called once with each `Scene`, it gives a function from `Candidates` to `Verdicts`: a class with
-        `__init__(scene)` and `__call__(candidates)`, or a function that returns one. It must stand at the top
-        of its module. What it says of a candidate depends on scene and candidate alone: that is what makes a
+        Called once with each `Scene`, it gives a function from `Hands` to `Verdicts`: a class with
+        `__init__(scene)` and `__call__(hands)`, or a function that returns one. It must stand at the top
+        of its module. What it says of a hand depends on scene and hand alone: that is what makes a
         run's journal a function of its spec. Or "FILE.py:NAME", "MODULE:NAME".
     connect
         Endpoint of the router; None: port 7447 on loopback.
@@ -41,7 +41,7 @@ def serve(
     workers
         How many processes evaluate.
     row_seconds
-        CPU seconds that sixteen candidates, or loading a scene, may take.
+        CPU seconds that sixteen hands, or loading a scene, may take.
     wait
         Seconds that the router is waited for.
 

@@ -159,8 +159,13 @@ def test_a_run_with_a_search_of_ones_own_is_a_run(mine: qdgrasp.Run, commands: C
     assert "custom_approach" in shown.out
 
 
-def test_its_journal_is_the_same_whatever_the_workers(mine: qdgrasp.Run, tmp_path: Path) -> None:
-    again = qdgrasp.optimise(Steps, tmp_path / "run", evaluations=140, prior="approach", place=TWO, **SCENE)
+def test_its_journal_is_the_same_whatever_the_workers(
+    mine: qdgrasp.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = qdgrasp.optimise(
+        Steps, tmp_path / "run", evaluations=140, prior="approach", progress=True, place=TWO, **SCENE
+    )
+    assert "run: 0 of 140 evaluations, starting" in capsys.readouterr().err
     assert digest_of(again.path) == digest_of(mine.path)
 
 

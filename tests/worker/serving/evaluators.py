@@ -6,9 +6,9 @@ import numpy as np
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_worker.serving.candidates import Candidates, Verdicts
+from qdgrasp_worker.serving.judge import Hands, Verdicts
 
-ASKED: list[Candidates] = []
+ASKED: list[Hands] = []
 """What `Height` was asked, in this process."""
 
 
@@ -18,19 +18,19 @@ class Height:
     def __init__(self, scene: Scene) -> None:
         self.top = scene.object_high[2]
 
-    def __call__(self, candidates: Candidates) -> Verdicts:
-        ASKED.append(candidates)
-        above = candidates.base_to_object[:, 2] > self.top
+    def __call__(self, hands: Hands) -> Verdicts:
+        ASKED.append(hands)
+        above = hands.base_to_object[:, 2] > self.top
         return Verdicts(np.where(above, Outcome.HELD, Outcome.MISSED))
 
 
 class Squeamish(Height):
     """Raises for hands on one side."""
 
-    def __call__(self, candidates: Candidates) -> Verdicts:
-        if (candidates.base_to_object[:, 0] > 0).any():
+    def __call__(self, hands: Hands) -> Verdicts:
+        if (hands.base_to_object[:, 0] > 0).any():
             raise ValueError("not there")
-        return super().__call__(candidates)
+        return super().__call__(hands)
 
 
 @dataclass
@@ -39,7 +39,7 @@ class Wrong:
 
     verdicts: Verdicts
 
-    def __call__(self, candidates: Candidates) -> Verdicts:
+    def __call__(self, hands: Hands) -> Verdicts:
         return self.verdicts
 
 

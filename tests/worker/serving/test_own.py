@@ -14,7 +14,7 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.serving import workshop
-from qdgrasp_worker.serving.candidates import BadVerdict, Candidates, Verdicts
+from qdgrasp_worker.serving.judge import BadVerdict, Hands, Verdicts
 from qdgrasp_worker.serving.own import Own, load, platform
 
 HERE = Path(evaluators.__file__)
@@ -26,8 +26,8 @@ def _forgets() -> None:
     evaluators.ASKED.clear()
 
 
-def candidates(n: int) -> Candidates:
-    return Candidates(
+def hands(n: int) -> Hands:
+    return Hands(
         base_to_object=np.zeros((n, 7), np.float32),
         joints=np.full((n, 2), 0.04, np.float32),
         synergies=np.full(n, -1),
@@ -61,7 +61,7 @@ def test_verdicts_fill_the_rows(cube: Scene, draw: Draw) -> None:
     assert rows["joints"] == pytest.approx(np.tile(opened, (40, 1)))
 
 
-def test_a_candidate_that_cannot_be_judged_fails_alone(cube: Scene, draw: Draw) -> None:
+def test_a_hand_that_cannot_be_judged_fails_alone(cube: Scene, draw: Draw) -> None:
     found = Own(cube, Squeamish).evaluate("approach", draw(20), np.zeros(20, np.uint16))
     sure = Own(cube, Height).evaluate("approach", draw(20), np.zeros(20, np.uint16)).rows
     bad = np.flatnonzero(sure["base_to_object"][:, 0] > 0)
@@ -118,7 +118,7 @@ def test_a_prior_whose_candidates_only_the_simulator_chooses_among_is_refused(cu
 )
 def test_what_is_no_verdict_is_said_to_be_none(verdicts: Verdicts, words: str) -> None:
     with pytest.raises(BadVerdict, match=words):
-        verdicts.columns(candidates(2))
+        verdicts.columns(hands(2))
 
 
 def test_every_row_of_a_bad_verdict_fails_with_the_reason(cube: Scene, draw: Draw) -> None:

@@ -29,8 +29,8 @@ from qdgrasp_worker.evaluate import REASON_LENGTH, Evaluation, Evaluator, refusa
 from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.platform import code_digest
 from qdgrasp_worker.protocols import PROTOCOLS
-from qdgrasp_worker.serving.candidates import Candidates, Judge, Make
 from qdgrasp_worker.serving.child import main as serve
+from qdgrasp_worker.serving.judge import Hands, Judge, Make
 from qdgrasp_worker.surface import Surface
 
 Failures = list[tuple[int, str]]
@@ -80,7 +80,7 @@ class Own:
         _place(rows, grasps, np.array([not reason for reason in reasons], dtype=bool))
         asked = np.flatnonzero([not reason for reason in reasons] & ~grasps.dead_ends)
         if len(asked):
-            failures += self._judged(rows, self._candidates(prior, genomes, trials, grasps, asked), asked)
+            failures += self._judged(rows, self._hands(prior, genomes, trials, grasps, asked), asked)
         return Evaluation(rows, sorted(failures))
 
     def _decoder(self, prior: str) -> Decoder:
@@ -88,19 +88,19 @@ class Own:
             self._decoders[prior] = Decoder(self.scene, prior, self._surface)
         return self._decoders[prior]
 
-    def _candidates(
+    def _hands(
         self,
         prior: str,
         genomes: NDArray[np.float32],
         trials: NDArray[np.uint16],
         grasps: Grasps,
         places: NDArray[np.intp],
-    ) -> Candidates:
+    ) -> Hands:
         """What is to be judged, each as its trial disturbs it."""
         disturbed = [self._protocol.trial(grasps[i], int(trials[i])) for i in places]
         usual = (self.scene.object.rolling_friction, self.scene.object.spinning_friction)
         poses = [[*trial.pose.position, *trial.pose.quaternion] for trial in disturbed]
-        return Candidates(
+        return Hands(
             base_to_object=np.array(poses, dtype=np.float32),
             joints=grasps.joints[places],
             synergies=grasps.synergies[places],
@@ -111,16 +111,14 @@ class Own:
             genomes=genomes[places],
         )
 
-    def _judged(self, rows: Rows, candidates: Candidates, places: NDArray[np.intp]) -> Failures:
+    def _judged(self, rows: Rows, hands: Hands, places: NDArray[np.intp]) -> Failures:
         """Fill the rows at these places with verdicts; where that fails, one by one."""
         try:
-            columns = self._judge(candidates).columns(candidates)
+            columns = self._judge(hands).columns(hands)
         except Exception as error:  # noqa: BLE001  # whatever failed, it is these rows' result and no other's
             if len(places) > 1:
                 alone = (slice(i, i + 1) for i in range(len(places)))
-                return [
-                    failure for one in alone for failure in self._judged(rows, candidates[one], places[one])
-                ]
+                return [failure for one in alone for failure in self._judged(rows, hands[one], places[one])]
             _fail(rows, int(places[0]))
             return [(int(places[0]), f"{type(error).__name__}: {error}"[:REASON_LENGTH])]
         for name, values in columns.items():

@@ -1,4 +1,4 @@
-"""What an evaluator of somebody's own is given, and what it gives back: arrays, nothing of a simulator."""
+"""What an evaluator of somebody's own is shown, and what it says: arrays, nothing of a simulator."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from qdgrasp_protocol.outcome import Outcome
 
 
 @dataclass(frozen=True)
-class Candidates:
+class Hands:
     """Hands that are to close on the object of a scene: n of them, each a row of every array."""
 
     base_to_object: NDArray[np.float32]
@@ -37,8 +37,8 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.base_to_object)
 
-    def __getitem__(self, places: slice | NDArray[np.intp]) -> "Candidates":
-        return Candidates(
+    def __getitem__(self, places: slice | NDArray[np.intp]) -> "Hands":
+        return Hands(
             self.base_to_object[places],
             self.joints[places],
             self.synergies[places],
@@ -52,7 +52,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What became of candidates: n of them, in their order."""
+    """What became of hands: n of them, in their order."""
 
     outcomes: NDArray[np.integer]
     """(n,): `Outcome.OVERLAP` to `Outcome.HELD`."""
@@ -65,7 +65,7 @@ class Verdicts:
     penetration: NDArray[np.floating] | None = None
     """(n,): deepest penetration [m], 0 or positive; None: not known, zeros are recorded."""
 
-    def columns(self, candidates: Candidates) -> dict[str, NDArray[np.generic]]:
+    def columns(self, hands: Hands) -> dict[str, NDArray[np.generic]]:
         """The columns of a row that they fill, checked.
 
         Raises
@@ -73,7 +73,7 @@ class Verdicts:
         BadVerdict
             One has another shape, or holds what cannot be.
         """
-        n, joints = len(candidates), candidates.joints.shape[1]
+        n, joints = len(hands), hands.joints.shape[1]
         outcomes = _array("outcomes", self.outcomes, (n,)).astype(np.int64)
         if not ((outcomes >= Outcome.OVERLAP) & (outcomes <= Outcome.HELD)).all():
             raise BadVerdict(f"outcomes must be {Outcome.OVERLAP:d} (OVERLAP) to {Outcome.HELD:d} (HELD)")
@@ -82,7 +82,7 @@ class Verdicts:
             "outcome": outcomes,
             "fitness": _array("fitness", shakes if self.fitness is None else self.fitness, (n,)),
             "joints": _array(
-                "joints", candidates.joints if self.joints is None else self.joints, (n, joints), least=None
+                "joints", hands.joints if self.joints is None else self.joints, (n, joints), least=None
             ),
             "contacts": _array("contacts", _or_zeros(self.contacts, n), (n,)),
             "penetration": _array("penetration", _or_zeros(self.penetration, n), (n,)),
@@ -93,10 +93,10 @@ class BadVerdict(QdgraspError):
     """What an evaluator gave is no verdict on what it was given."""
 
 
-Judge: TypeAlias = Callable[[Candidates], Verdicts]
-"""Says what becomes of candidates; the same for the same ones, whatever it was asked before."""
+Judge: TypeAlias = Callable[[Hands], Verdicts]
+"""Says what becomes of hands; the same for the same ones, whatever it was asked before."""
 Make: TypeAlias = Callable[[Scene], Judge]
-"""Makes the judge of a scene: a class with `__init__(scene)` and `__call__(candidates)`, or a function."""
+"""Makes the judge of a scene: a class with `__init__(scene)` and `__call__(hands)`, or a function."""
 
 
 def _array(
