@@ -83,7 +83,7 @@ def test_check_says_what_is_good_and_ends_with_what_is_wrong(asset, tmp_path):
     trimesh.Trimesh(box.vertices, box.faces[1:], process=False).export(part)
     done = asset("check", "mug", str(part))
     assert "ok    mug: " in done.stdout
-    assert f"WRONG {part}: it is not watertight: 3 edges" in done.stdout
+    assert f"WRONG {part}: it is not closed (watertight): 3 edges" in done.stdout
     assert str(done.exception) == f"1 of 2 assets cannot be used as they are: {part}."
 
 
