@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from qdgrasp_assets.carrier import CARRIERS
 from qdgrasp_assets.files import on_asset_path, searched
+from qdgrasp_assets.hands.motion import kind_fault
 from qdgrasp_assets.hands.source import read_source
 from qdgrasp_assets.scene import FreeJoint, Jaw, Joint, SceneGripper, Synergy, Vector
 from qdgrasp_assets.shapes import largest_side
@@ -255,6 +256,7 @@ def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
 
 def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     moving = {joint.name: joint for joint in hand.joints if joint.moves}
+    yield from (fault for joint in hand.joints if (fault := kind_fault(joint.name, joint.kind)))
     yield from _unknown(robot, "finger_links", file.finger_links, hand.links)
     yield from _unknown(robot, "joints", file.joints, moving)
     yield from _unknown(robot, "free_joints", file.free_joints, file.joints)

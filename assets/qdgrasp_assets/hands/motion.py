@@ -25,11 +25,16 @@ def motion_faults(element: ET.Element) -> tuple[str, ...]:
     return (*found, *_reversed(joints))
 
 
+def kind_fault(name: str, kind: str) -> str:
+    """What is wrong with the kind of a joint; empty when nothing is."""
+    told = KINDS.get(kind, f"of the type '{kind}', and URDF knows {', '.join(KINDS)}")
+    return f"the joint '{name}' is {told}" if told else ""
+
+
 def _faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]) -> Iterator[str]:
     kind = joint.get("type", "")
-    told = KINDS.get(kind, f"of the type '{kind}', and URDF knows {', '.join(KINDS)}")
-    if told:
-        yield f"the joint '{name}' is {told}"
+    if fault := kind_fault(name, kind):
+        yield fault
         return
     if kind in LIMITED and joint.find("limit") is None:
         yield f"the joint '{name}' is {kind} and has no <limit>: give it lower, upper, effort and velocity"
