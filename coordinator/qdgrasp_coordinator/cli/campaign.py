@@ -74,6 +74,7 @@ def campaign(
     it, masses.csv, with the columns file and mass [kg], or is said for all of them.
 
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
+
     Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
     """
     goals = {"successes": successes, "no_new_cell": no_new_cell}

@@ -36,7 +36,9 @@ def check(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A mesh: STL, OBJ, PLY, OFF or GLB.")],
     units: options.Units = None,
     scale: options.Scale = None,
-    mass: options.Mass = None,
+    mass: Annotated[
+        float | None, typer.Option(metavar="KG", help="What it weighs; a run of it needs that.")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw it and its convex parts, or where it is open.")
     ] = None,
@@ -57,9 +59,8 @@ def check(
 ) -> None:
     """Say what an object of your own is, what was repaired, and what is wrong with it.
 
-    Merged, dropped and turned is what must be, in every run as here; holes are filled only where that is
-    asked for, and the file that --repaired writes is then the object. It ends with exit code 2 where the
-    object cannot be used.
+    Seams, empty triangles and windings are put right, in every run as here. Holes are filled only where that
+    is asked for; the file that --repaired writes is then your object. Exit code 2: it cannot be used.
 
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """
@@ -105,7 +106,7 @@ def _told(is_quiet: bool) -> Iterator[Tell]:
         return
     columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as shown:
-        task = shown.add_task("")
+        task = shown.add_task("looking at its surface")
         yield lambda sentence: shown.update(task, description=sentence)
 
 
