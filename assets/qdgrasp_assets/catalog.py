@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.files import searched
+from qdgrasp_assets.files import named_path, searched
 from qdgrasp_assets.gripper import Gripper, read_gripper, read_gripper_file
 from qdgrasp_assets.mesh_file import check_file
 from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
@@ -88,7 +88,7 @@ def gripper_path(name: str) -> Path:
     built_in = GRIPPERS / f"{name}.toml"
     if built_in in _gripper_files():
         return built_in
-    path = Path(name).expanduser()
+    path = named_path(name)
     if not _is_file(path):
         hint = f"Or name a gripper's TOML file. Reference hands lie on the asset path ({searched()})."
         raise UnknownName("gripper", name, gripper_names(), hint)
@@ -123,7 +123,7 @@ def _find_target(spec: RunSpec) -> Target:
     if name in ycb.SCANS:
         return ycb.read_scan(name, spec.protocol)
     check_object(name)
-    return read_target(Path(name).expanduser(), spec.mass, spec.scale)
+    return read_target(named_path(name), spec.mass, spec.scale)
 
 
 def check_object(name: str) -> None:
@@ -136,7 +136,7 @@ def check_object(name: str) -> None:
     AssetError
         It is a scan's, which is not there, or a folder.
     """
-    path = Path(name).expanduser()
+    path = named_path(name)
     if name in ycb.SCANS:
         ycb.check_there(name)
     elif name not in STAND_INS and path.is_dir():

@@ -3,13 +3,12 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.convex import parts_at_hand
-from qdgrasp_assets.files import searched
+from qdgrasp_assets.files import named_path, searched
 from qdgrasp_assets.hands.examination import Examination, examine
 from qdgrasp_assets.inspection import inspect
 from qdgrasp_assets.lock import pin
@@ -62,7 +61,7 @@ def _check_of(name: str) -> Callable[[str], Report]:
         return _SCANS[ycb.source(name)]
     if is_gripper(name):
         return _gripper
-    if Path(name).expanduser().is_file():
+    if named_path(name).is_file():
         return _mesh_file
     known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
     raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
@@ -103,7 +102,7 @@ _SCANS: dict[str, Callable[[str], Report]] = {
 
 
 def _mesh_file(name: str) -> Report:
-    draft = read_draft(Path(name).expanduser())
+    draft = read_draft(named_path(name))
     found = inspect(draft, name, parts=False)
     return Report(name, found.facts + (() if found.faults else (_known_hulls(draft.mesh),)), found.faults)
 

@@ -8,6 +8,14 @@ CACHE = "QDGRASP_CACHE"
 DATA = "QDGRASP_DATA"
 
 
+def named_path(name: str | Path) -> Path:
+    """The file that a user names: `~` is their home; where it can mean no home, it is what it is."""
+    try:
+        return Path(name).expanduser()
+    except RuntimeError:  # the home of somebody who is not there
+        return Path(name)
+
+
 def asset_folders() -> tuple[Path, ...]:
     """The folders that `QDGRASP_ASSET_PATH` names, separated by colons, in order."""
     return tuple(Path(part).expanduser() for part in os.environ.get(ASSET_PATH, "").split(os.pathsep) if part)

@@ -101,6 +101,11 @@ def test_a_scale_is_that_of_the_mesh_file_and_told_by_the_scene(tmp_path):
     assert scene(object=str(same), mass=0.3).object.source == "bar.stl"
 
 
+def test_a_home_of_nobody_is_no_home():
+    with pytest.raises(AssetError, match=r"No mesh file at '~nobody-of-that-name/part\.stl'"):
+        scene(object="~nobody-of-that-name/part.stl", mass=0.3)
+
+
 def test_an_object_of_the_catalog_has_its_own_size():
     with pytest.raises(
         AssetError, match=r"'mug' of the catalog has its own size: leave --scale and --units out"

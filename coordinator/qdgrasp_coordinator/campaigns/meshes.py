@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from qdgrasp_assets.files import named_path
 from qdgrasp_assets.mesh_file import ALWAYS, NEEDED
 from qdgrasp_assets.objects.stand_ins import STAND_INS
 from qdgrasp_assets.scans import SCANS
@@ -100,7 +101,7 @@ def check_meshes(specs: Iterable[RunSpec]) -> None:
     wanted = {(spec.object, spec.scale): spec.mass for spec in specs if spec.object not in named}
     faults: dict[str, str] = {}
     for (name, scale), mass in wanted.items():
-        if why := _why_not(_draft(Path(name).expanduser(), scale), mass):
+        if why := _why_not(_draft(named_path(name), scale), mass):
             faults[name] = why
     if faults:
         raise UnusableMeshes(len({name for name, _ in wanted}), faults)

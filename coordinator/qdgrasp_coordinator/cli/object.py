@@ -14,6 +14,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from qdgrasp_assets.catalog import object_names
 from qdgrasp_assets.convex import TIME_LIMIT, Tell, quietly
+from qdgrasp_assets.files import named_path
 from qdgrasp_assets.inspection import Inspection, inspect
 from qdgrasp_assets.mesh_file import check_new, write_mesh
 from qdgrasp_assets.solid import Draft, read_draft
@@ -89,7 +90,7 @@ def _checked(units: str | None, scale: float | None, mass: float | None) -> floa
 
 
 def _found(file: str) -> Path:
-    path = Path(file).expanduser()
+    path = named_path(file)
     if not path.exists() and file in object_names():
         raise AssetError(
             f"'{file}' is an object of the catalog, no file; `qdgrasp asset check {file}` checks it."

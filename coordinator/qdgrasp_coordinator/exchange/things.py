@@ -1,11 +1,11 @@
 """Hands and objects as far as poses depend on them: no convex parts are made, no mass is needed."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from qdgrasp_assets.catalog import check_object, find_gripper, find_object, object_names
+from qdgrasp_assets.files import named_path
 from qdgrasp_assets.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_assets.solid import read_solid
@@ -45,5 +45,5 @@ def thing_of(name: str, scale: float | None = None) -> Thing:
     if name in object_names():
         com = find_object(RunSpec(gripper="", object=name, scale=scale)).com_in_mesh
     else:
-        com = read_solid(Path(name).expanduser(), scale).centre_of_mass
+        com = read_solid(named_path(name), scale).centre_of_mass
     return Thing(np.array(com), 1.0 if scale is None else scale)
