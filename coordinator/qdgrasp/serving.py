@@ -41,7 +41,8 @@ def serve(
     workers
         How many processes evaluate.
     row_seconds
-        CPU seconds that sixteen hands, or loading a scene, may take.
+        CPU seconds that loading a scene may take, and so may the hands that are shown at once: sixteen, or as
+        many as the evaluator's attribute `at_once` says.
     wait
         Seconds that the router is waited for.
 

@@ -1,5 +1,6 @@
 """An evaluator of somebody's own in the simulator's place."""
 
+import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +13,13 @@ from tests.worker.serving.evaluators import Height, Squeamish, Wrong
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.rows import Shape, pack
 from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.serving import workshop
+from qdgrasp_worker.serving.child import SLICE, WORK_COLUMNS, Child
+from qdgrasp_worker.serving.frames import Evaluate
 from qdgrasp_worker.serving.judge import BadVerdict, Hands, Verdicts
+from qdgrasp_worker.serving.line import Line
 from qdgrasp_worker.serving.own import Own, load, platform
 
 HERE = Path(evaluators.__file__)
@@ -119,6 +124,36 @@ def test_a_prior_whose_candidates_only_the_simulator_chooses_among_is_refused(cu
 def test_what_is_no_verdict_is_said_to_be_none(verdicts: Verdicts, words: str) -> None:
     with pytest.raises(BadVerdict, match=words):
         verdicts.columns(hands(2))
+
+
+def test_a_judge_says_how_many_hands_it_wants_to_see_at_once(cube: Scene) -> None:
+    class Wide(Height):
+        at_once = 512
+
+    assert Own(cube, Height).at_once == SLICE
+    assert Own(cube, Wide).at_once == 512
+
+
+def test_a_batch_is_shown_in_such_pieces(cube: Scene, draw: Draw) -> None:
+    class Wide(Height):
+        at_once = 25
+
+    ours, its = socket.socketpair()
+    genomes = draw(60)
+    rows = Shape(7, 2).empty(len(genomes))
+    rows["genome"] = genomes
+    request = Evaluate(
+        scene="0" * 64,
+        bundle=b"",
+        prior="approach",
+        n=len(rows),
+        genes=7,
+        columns=pack(rows, WORK_COLUMNS),
+        is_careful=False,
+    )
+    with ours, its:
+        Child(Line(its), 60.0, lambda _: Own(cube, Wide)).answer(request)  # type: ignore[arg-type, return-value]
+    assert [len(hands) for hands in evaluators.ASKED] == [25, 25, 10]
 
 
 def test_every_row_of_a_bad_verdict_fails_with_the_reason(cube: Scene, draw: Draw) -> None:

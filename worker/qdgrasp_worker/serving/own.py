@@ -29,6 +29,7 @@ from qdgrasp_worker.evaluate import REASON_LENGTH, Evaluation, Evaluator, refusa
 from qdgrasp_worker.grasp import Grasps
 from qdgrasp_worker.platform import code_digest
 from qdgrasp_worker.protocols import PROTOCOLS
+from qdgrasp_worker.serving.child import SLICE
 from qdgrasp_worker.serving.child import main as serve
 from qdgrasp_worker.serving.judge import Hands, Judge, Make
 from qdgrasp_worker.surface import Surface
@@ -51,6 +52,8 @@ class Own:
         self._protocol = PROTOCOLS[scene.protocol]
         self._surface = Surface(scene)
         self._decoders: dict[str, Decoder] = {}
+        self.at_once = max(1, int(getattr(self._judge, "at_once", SLICE)))
+        """How many rows it is shown at once, at most; the judge says it."""
 
     def close(self) -> None:
         """Let the judge go."""
