@@ -125,6 +125,7 @@ class RecorderService:
                 self._answer(event, now)
             case Sample():
                 self._scribe.take(event, now)
+                self._fetch_at = 0.0  # whoever sends rows shows their scene, and may soon be gone
             case Fetched(digest, payload):
                 self._store(digest, payload)
 

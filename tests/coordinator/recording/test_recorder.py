@@ -95,6 +95,17 @@ class TestOpening:
         assert folder.bundle() == BUNDLE
         assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
 
+    def test_a_scene_that_was_not_shown_yet_is_fetched_with_the_first_rows_of_a_run_that_may_be_short(
+        self, network: LocalNetwork, coordinator: Coordinator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("qdgrasp_coordinator.recording.recorder.FETCH_INTERVAL", 100 * SOON)
+        with network.session() as bus, recording(network, tmp_path / "new"):
+            coordinator.open()
+            coordinator.hears_durable(0)  # nobody showed it when it was first asked for
+            bus.answer(Keys(JOB).asset(), lambda query: chunks.answer(query, SCENE, BUNDLE.digest))
+            coordinator.send(make_rows(30), 0, 30)
+            until(RunFolder.open(tmp_path / "new").has_bundle)
+
     def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
         self, network: LocalNetwork, coordinator: Coordinator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
