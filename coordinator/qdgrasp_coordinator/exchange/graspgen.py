@@ -17,16 +17,17 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.mesh import parts_to_obj
-from qdgrasp_assets.rotation import conjugate
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.body import body
-from qdgrasp_coordinator.exchange.frames import from_matrices, jaw_turn
+from qdgrasp_coordinator.exchange.frames import from_matrices
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.exchange.jaw import transforms, turned_about
 from qdgrasp_coordinator.exchange.told import Told, Unusable, check_matrices, decoded, to_array
 
 INDEX = "map_uuid_to_path.json"
 DATA, SPLITS, OBJECTS = "grasp_data", "splits", "object_data"
+OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+"""From the axes of the transforms to those of GraspGen, xyz [m] and xyzw: none, they are turned already."""
 
 
 def write(path: Path, grasps: Grasps, about: About) -> None:
@@ -51,7 +52,6 @@ def is_ours(path: Path) -> bool:
 
 def _values(name: str, grasps: Grasps, about: About) -> dict[str, Any]:
     said = turned_about(about, grasps.scene.gripper)
-    offset = [[0.0, 0.0, 0.0], conjugate(jaw_turn(grasps.scene.gripper)).tolist()]
     names = (*grasps.synergy_names, "")
     return {
         "object": {"file": name, "scale": 1.0},
@@ -61,7 +61,7 @@ def _values(name: str, grasps: Grasps, about: About) -> dict[str, Any]:
         },
         "qdgrasp": said.values
         | {
-            "transform_offset_from_asset_to_graspgen_convention": offset,
+            "transform_offset_from_asset_to_graspgen_convention": OFFSET,
             "joint_names": grasps.joint_names,
             "grasps": {
                 "number": grasps.numbers.tolist(),

@@ -11,7 +11,7 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 from tests.coordinator.exchange.conftest import COM, MakeRun
-from tests.coordinator.exchange.readers import JOINTS, READERS, TURNED
+from tests.coordinator.exchange.readers import JOINTS, READERS, TURNED, homogeneous
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.exchange import importing
@@ -174,6 +174,19 @@ def test_graspgen_has_failures_and_the_mesh_that_its_poses_are_told_of(
     mesh = trimesh.load_mesh(tmp_path / "out" / "object_data" / "block.obj")
     np.testing.assert_allclose(mesh.center_mass, COM, atol=1e-9)
     np.testing.assert_allclose(mesh.extents, (0.04, 0.05, 0.06), atol=1e-8)
+
+
+def test_what_graspgen_reads_with_the_offset_of_the_file_approaches_along_z_and_opens_along_x(
+    run: RunFolder, scene: Scene, grasps: Grasps, tmp_path: Path
+) -> None:
+    """It multiplies each transform that it reads by the offset that its gripper is described with."""
+    export(run, tmp_path / "out", "graspgen", negatives=0)
+    read = READERS["graspgen"](tmp_path / "out")
+    position, turn = read.beside["qdgrasp"]["transform_offset_from_asset_to_graspgen_convention"]
+    hands = read.matrices @ homogeneous([position], [turn])
+    links = Rotation.from_quat(grasps.rows["base_to_object"][:, 3:].astype(float))
+    np.testing.assert_allclose(hands[:, :3, 2], links.apply(scene.gripper.approach_axis), atol=1e-6)
+    np.testing.assert_allclose(hands[:, :3, 0], links.apply(scene.gripper.jaw.axis), atol=1e-6)
 
 
 def test_numbers_have_points_and_no_exponents_in_yaml(run: RunFolder, tmp_path: Path) -> None:
