@@ -23,7 +23,7 @@ LONG = re.compile(
     r"|qdgrasp gripper new .*--mend"
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
-    r"|qdgrasp resume .*--evaluations"
+    r"|qdgrasp resume .*--evaluations|qdgrasp info runs/paper-small"
     r"|python examples/own_"
     r"|curl "
 )
