@@ -246,11 +246,13 @@ class Job:
 
     @contextmanager
     def serving(self) -> Iterator[threading.Thread]:
-        """The service in a thread of its own, stopped at the end if it still goes on."""
+        """The service in a thread of its own that answers, stopped at the end if it still goes on."""
         self.error: Exception | None = None
         thread = threading.Thread(target=self._serve)
         thread.start()
         try:
+            with self.network.session() as bus:
+                until(lambda: bool(bus.ask_all(Keys(JOB).stat("job"))) or not thread.is_alive())
             yield thread
         finally:
             self.stop.set(15)

@@ -169,7 +169,6 @@ def test_of_a_job_that_is_done_nobody_is_told_that_it_is_cancelled() -> None:
 def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
     job = Job({"run-0": LONG, "run-1": LONG})
     with job.serving(), job.network.session() as bus:
-        until(lambda: bool(overview(bus)))
         assert shown(bus).meta.epoch in (0, 1)
         with Pretender(job.network.session(), ANN, answers=False).at_work() as worker:
             assert worker.kept.wait(SOON)
