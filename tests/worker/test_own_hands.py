@@ -24,7 +24,7 @@ from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.world import World
 
 NU, DISTANCE = 3, 4
-"""Genes of the prior approach: how far from the normal a hand looks, and from how far away."""
+"""Genes of the prior contact: how far from the normal a hand looks, and from how far away."""
 ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
 MANI = "mani_skill/assets/robots"
 CASES = {
@@ -36,7 +36,7 @@ CASES = {
         "mug",
     ),
     "allegro_boxes": ("mani-skill", f"{MANI}/allegro/allegro_hand_right.urdf", "mug"),
-    "ability": ("mani-skill", f"{MANI}/ability_hand/ability_hand_right.urdf", "tennis_ball"),
+    "ability": ("mani-skill", f"{MANI}/ability_hand/ability_hand_right.urdf", "mug"),
 }
 """Hands in public packages: the package, the URDF below a folder of Python's path, and an object."""
 
@@ -63,11 +63,12 @@ def scene_of(urdf: Path, folder: Path, target: str, *, mends: bool = False) -> S
 
 
 def grasps(scene: Scene, draw: Callable[..., np.ndarray], n: int) -> int:
-    """How many of `n` poses hold the object in a shake or two; all look at it from near by."""
-    genomes = draw(n, genes=len(layout(scene, "approach")))
-    genomes[:, NU], genomes[:, DISTANCE] = -1.0, (genomes[:, DISTANCE] - 3.0) / 4.0
+    """How many of `n` poses hold the object in a shake or two; half look straight at it from near by."""
+    genomes = draw(n, genes=len(layout(scene, "contact")))
+    genomes[:, DISTANCE] = (genomes[:, DISTANCE] - 1.0) / 2.0
+    genomes[::2, NU], genomes[::2, DISTANCE] = -1.0, (genomes[::2, DISTANCE] - 1.0) / 2.0
     with Evaluator(scene) as evaluator:
-        rows = evaluator.evaluate("approach", genomes, np.zeros(n, dtype=np.uint16)).rows
+        rows = evaluator.evaluate("contact", genomes, np.zeros(n, dtype=np.uint16)).rows
     return sum(Outcome(outcome).is_grasp for outcome in rows["outcome"])
 
 
