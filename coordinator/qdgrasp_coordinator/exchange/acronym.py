@@ -15,26 +15,18 @@ from numpy.typing import NDArray
 from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.body import Body, body
+from qdgrasp_coordinator.exchange.checking import check_matrices
 from qdgrasp_coordinator.exchange.frames import from_matrices
 from qdgrasp_coordinator.exchange.grasps import Grasps
+from qdgrasp_coordinator.exchange.hdf5 import Datasets, opened
 from qdgrasp_coordinator.exchange.jaw import transforms, turned_about
-from qdgrasp_coordinator.exchange.told import (
-    MOST,
-    Told,
-    Unusable,
-    check_matrices,
-    decoded,
-    read_about,
-    to_array,
-)
+from qdgrasp_coordinator.exchange.told import Told, Unusable, decoded, read_about, to_array, to_words
 
 TRANSFORMS = "grasps/transforms"
 SUCCESSES = "grasps/qualities/flex/object_in_gripper"
 JOINTS, SYNERGIES = "gripper/joint_names", "gripper/synergy_names"
 STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
-MOST_WORDS = 1000
-"""Joints or synergies of a hand, at most."""
 
 
 def write(path: Path, grasps: Grasps, about: About) -> None:
@@ -102,90 +94,47 @@ def read(path: Path) -> Told:
     Unusable
         It is damaged, or is another HDF5 file.
     """
-    import h5py
-
-    try:
-        with h5py.File(path) as file:
-            matrices = _numbers(path, file, TRANSFORMS, (4, 4))
-            check_matrices(path, matrices)
-            count = len(matrices)
-            about = read_about(path, file[ABOUT].asstr()[()]) if ABOUT in file else None
-            quality = CONFIDENCE if CONFIDENCE in file else SUCCESSES
-            return Told(
-                names=_numbers(path, file, NUMBERS, (), count, np.arange(count)).astype(np.int64).astype(str),
-                poses=from_matrices(matrices),
-                is_turned=True,
-                starts=_starts(path, file, count),
-                synergies=_synergies(path, file, count),
-                confidence=_numbers(path, file, quality, (), count, np.full(count, np.nan)),
-                scale=_scalar(path, file, "object/scale"),
-                mass=_scalar(path, file, "object/mass"),
-                friction=_scalar(path, file, "object/friction"),
-                about=about,
-            )
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
-        raise Unusable(path, f"it is a damaged HDF5 file ({error})") from None
-
-
-def _numbers(
-    path: Path,
-    file: Any,
-    name: str,
-    shape: tuple[int, ...],
-    count: int | None = None,
-    default: Floats | NDArray[np.int64] | None = None,
-) -> Floats:
-    """A dataset (n, *shape) of numbers; checked before it is read: a small file can promise a huge one."""
-    if name not in file:
-        if default is None:
-            raise Unusable(path, f"it is HDF5, but not an ACRONYM file: it has no dataset '{name}'")
-        return default.astype(np.float64)
-    data = file[name]
-    found = getattr(data, "shape", None)
-    wanted = f"numbers of shape ({'n' if count is None else count}{''.join(f', {side}' for side in shape)})"
-    if not found or found[1:] != shape or data.dtype.kind not in "fiub" or count not in (None, found[0]):
-        raise Unusable(path, f"its dataset '{name}' must be {wanted}")
-    if found[0] > MOST:
-        raise Unusable(path, f"it has {found[0]} grasps; at most {MOST} are read")
-    numbers: Floats = data[()].astype(np.float64)
-    return numbers
+    with opened(path) as file:
+        matrices = file.numbers(TRANSFORMS, (4, 4))
+        check_matrices(path, matrices)
+        count, said = len(matrices), file.text(ABOUT)
+        about = None if said is None else read_about(path, said)
+        quality = CONFIDENCE if CONFIDENCE in file else SUCCESSES
+        numbers = file.numbers(NUMBERS, (), count) if NUMBERS in file else np.arange(count)
+        return Told(
+            names=numbers.astype(np.int64).astype(str),
+            poses=from_matrices(matrices),
+            is_turned=True,
+            frame=about.frame if about else None,
+            gripper=about.gripper if about else file.text("gripper/type"),
+            link=about.gripper_frame if about else None,
+            starts=_starts(file, count),
+            synergies=_synergies(path, file, count),
+            confidence=file.numbers(quality, (), count) if quality in file else None,
+            scale=file.scalar("object/scale"),
+            mass=file.scalar("object/mass"),
+            friction=file.scalar("object/friction"),
+            about=about,
+        )
 
 
-def _scalar(path: Path, file: Any, name: str) -> float | None:
-    """A number greater than zero; None: it is not told."""
-    if name not in file:
-        return None
-    data = file[name]
-    value = float(data[()]) if data.shape == () and data.dtype.kind in "fiu" else np.nan
-    if not 0 < value < np.inf:
-        raise Unusable(path, f"its dataset '{name}' must be a number greater than 0")
-    return value
-
-
-def _starts(path: Path, file: Any, count: int) -> dict[str, Floats]:
+def _starts(file: Datasets, count: int) -> dict[str, Floats]:
     """Joints that hands start from, by name (n,)."""
     if STARTS not in file:
         return {}
-    names = _words(path, file, JOINTS)
-    positions = _numbers(path, file, STARTS, (len(names),), count)
+    names = file.words(JOINTS)
+    positions = file.numbers(STARTS, (len(names),), count)
     return dict(zip(names, positions.T, strict=True))
 
 
-def _synergies(path: Path, file: Any, count: int) -> NDArray[np.str_] | None:
+def _synergies(path: Path, file: Datasets, count: int) -> NDArray[np.str_] | None:
     if SYNERGY not in file:
         return None
-    names = [*_words(path, file, SYNERGIES), ""]
-    labels = _numbers(path, file, SYNERGY, (), count).astype(np.int64)
+    names = to_words(path, "synergies", [*file.words(SYNERGIES), ""])
+    labels = file.numbers(SYNERGY, (), count).astype(np.int64)
     if ((labels < -1) | (labels >= len(names) - 1)).any():
         raise Unusable(path, f"its dataset '{SYNERGY}' must hold -1 or places in '{SYNERGIES}'")
-    return np.array(names)[labels]
-
-
-def _words(path: Path, file: Any, name: str) -> list[str]:
-    data = file[name]
-    if len(data.shape) != 1 or data.shape[0] > MOST_WORDS:
-        raise Unusable(path, f"its dataset '{name}' must be a list of names")
-    return [str(word) for word in data.asstr()[()]]
+    return names[labels]
 
 
 class Flat(Struct):

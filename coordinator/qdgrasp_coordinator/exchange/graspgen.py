@@ -10,7 +10,7 @@ Public description: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Descri
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -19,10 +19,11 @@ from msgspec import Struct
 from qdgrasp_assets.mesh import parts_to_obj
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.body import body
+from qdgrasp_coordinator.exchange.checking import check_matrices
 from qdgrasp_coordinator.exchange.frames import from_matrices
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.exchange.jaw import transforms, turned_about
-from qdgrasp_coordinator.exchange.told import Told, Unusable, check_matrices, decoded, to_array
+from qdgrasp_coordinator.exchange.told import Told, Unusable, decoded, to_array, to_words
 
 INDEX = "map_uuid_to_path.json"
 DATA, SPLITS, OBJECTS = "grasp_data", "splits", "object_data"
@@ -91,7 +92,7 @@ class Transforms(Struct):
 class Beside(Struct):
     """What has no place in the format, in the order of the transforms."""
 
-    number: list[int]
+    number: list[Annotated[int, msgspec.Meta(ge=0)]]
     pregrasp_joint_positions: list[list[float]]
     synergy: list[str]
 
@@ -145,6 +146,10 @@ def _with_joints(path: Path, told: Told, ours: Ours) -> Told:
         told,
         names=np.array(beside.number, dtype=np.int64).astype(str),
         starts=dict(zip(ours.joint_names, starts.T, strict=True)),
-        synergies=np.array(beside.synergy, dtype=str),
+        synergies=to_words(path, "synergies", beside.synergy),
+        frame=ours.frame,
+        gripper=ours.gripper,
+        link=ours.gripper_frame,
+        scale=ours.object_scale,
         about=ours,
     )

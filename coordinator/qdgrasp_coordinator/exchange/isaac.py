@@ -17,7 +17,7 @@ from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.decimals import decimals
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.told import Told, Unusable
+from qdgrasp_coordinator.exchange.told import Told, Unusable, to_words
 from qdgrasp_coordinator.exchange.yaml_text import Tree, block, read_tree, word
 
 FORMAT, VERSION = "isaac_grasp", 1.0
@@ -93,6 +93,10 @@ def read(path: Path) -> Told:
         It is damaged, or is another YAML file.
     """
     tree = read_tree(path)
+    if isinstance(tree, dict) and "qdgrasp" in tree and isinstance(tree.get("grasps"), list):
+        raise Unusable(
+            path, "it is MoveIt of `qdgrasp export`, which is not read back; export parquet instead"
+        )
     if not isinstance(tree, dict) or tree.get("format") != FORMAT:
         raise Unusable(path, f"it is YAML, but not an Isaac grasp file: it has no 'format: {FORMAT}'")
     if _numbers(path, "format_version", [tree.get("format_version", "")], 1) != [VERSION]:
@@ -102,8 +106,11 @@ def read(path: Path) -> Told:
         raise Unusable(path, "its key 'grasps' must hold grasps by name")
     about = _about(path, tree)
     return Told(
-        names=np.array(list(grasps), dtype=str),
+        names=to_words(path, "names", grasps),
         poses=np.array([_pose(path, name, grasp) for name, grasp in grasps.items()]).reshape(-1, 7),
+        frame=about.frame if about else None,
+        gripper=about.gripper if about else None,
+        link=about.gripper_frame if about else _link(tree),
         starts=_joints(path, grasps, "pregrasp_cspace_position"),
         joints=tuple(_joints(path, grasps, "cspace_position")),
         synergies=_synergies(path, tree, len(grasps)),
@@ -130,7 +137,13 @@ def _synergies(path: Path, tree: dict[str, Tree], count: int) -> NDArray[np.str_
     names = beside["synergy"]
     if not isinstance(names, list) or len(names) != count or not all(isinstance(name, str) for name in names):
         raise Unusable(path, f"the list 'synergy' of its block 'qdgrasp' must have {count} names")
-    return np.array(names, dtype=str)
+    return to_words(path, "synergies", names)  # type: ignore[arg-type]  # each is a word
+
+
+def _link(tree: dict[str, Tree]) -> str | None:
+    """The link whose poses are told, by either spelling; of a path in a stage the last part."""
+    name = tree.get("gripper_frame_link", tree.get("gripper_frame"))
+    return name.rsplit("/", 1)[-1] if isinstance(name, str) else None
 
 
 def _pose(path: Path, name: str, grasp: Tree) -> list[float]:

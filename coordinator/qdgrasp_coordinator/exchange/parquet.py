@@ -7,7 +7,6 @@ the columns of every table stands `base_to_object`: the pose as simulated, float
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +14,15 @@ from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.columns import PREGRASP, columns
 from qdgrasp_coordinator.exchange.frames import COM
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.told import MOST, Told, Unusable, read_about
+from qdgrasp_coordinator.exchange.told import MOST, Told, Unusable, read_about, to_words
 
 KEY = "qdgrasp"
 SIMULATED = "base_to_object"
 MAGIC = b"PAR1"
+READ = ("number", "synergy", "confidence", SIMULATED)
+"""The columns that are read, beside those of joints."""
+MOST_NUMBERS = 100_000_000
+"""In all columns that are read, at most: few bytes can stand for very many equal ones."""
 
 
 def write(path: Path, grasps: Grasps, about: About) -> None:
@@ -61,21 +64,42 @@ def read(path: Path) -> Told:
     import pyarrow.parquet as pq
 
     try:
-        with pq.ParquetFile(path) as file:
-            metadata = file.schema_arrow.metadata or {}
-            if KEY.encode() not in metadata:
-                raise Unusable(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
+        metadata = pq.read_schema(path).metadata or {}
+        if KEY.encode() not in metadata:
+            raise Unusable(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
+        with pq.ParquetFile(path, read_dictionary=["synergy"]) as file:
             if file.metadata.num_rows > MOST:
                 raise Unusable(path, f"it has {file.metadata.num_rows} rows; at most {MOST} are read")
-            table = file.read()
+            names = _columns(file.schema_arrow)
+            if file.metadata.num_rows * len(names) > MOST_NUMBERS:
+                raise Unusable(path, f"it has more than {MOST_NUMBERS} numbers")
+            table = file.read(columns=names)
         about = read_about(path, metadata[KEY.encode()])
-        return _told(table, about)
+        return _told(path, table, about)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         raise Unusable(path, f"it is a damaged Parquet file ({error})") from None
 
 
-def _told(table: Any, about: About) -> Told:
-    """What a table says; the poses are those in `base_to_object`."""
+def _columns(schema: Any) -> list[str]:
+    """The names of the columns that are read, each of which is of numbers but for the synergies."""
+    import pyarrow.types as kinds
+
+    fields = [field for field in schema if field.name in READ or field.name.startswith(PREGRASP)]
+    for field in fields:
+        kind = field.type.value_type if field.name in (SIMULATED, "synergy") else field.type
+        if not (kinds.is_string if field.name == "synergy" else _is_number)(kind):
+            raise TypeError(f"its column '{field.name}' is of type {field.type}")
+    return [field.name for field in fields]
+
+
+def _is_number(kind: Any) -> bool:
+    import pyarrow.types as kinds
+
+    return bool(kinds.is_integer(kind) or kinds.is_floating(kind))
+
+
+def _told(path: Path, table: Any, about: About) -> Told:
+    """What a table says; the poses are those in `base_to_object`, always at the centre of mass."""
     simulated = table[SIMULATED].combine_chunks()
     poses = np.asarray(simulated.flatten(), dtype=np.float64).reshape(len(table), 7)
     joints = [name for name in table.column_names if name.startswith(PREGRASP)]
@@ -83,8 +107,17 @@ def _told(table: Any, about: About) -> Told:
         names=np.asarray(table["number"]).astype(str),
         poses=poses,
         starts={name.removeprefix(PREGRASP): np.asarray(table[name], dtype=np.float64) for name in joints},
-        synergies=np.array([name or "" for name in table["synergy"].to_pylist()], dtype=str),
+        synergies=_synergies(path, table["synergy"].unify_dictionaries().combine_chunks()),
         confidence=np.asarray(table["confidence"], dtype=np.float64),
         scale=about.object_scale,
-        about=msgspec.structs.replace(about, frame=COM),
+        frame=COM,
+        gripper=about.gripper,
+        link=about.gripper_frame,
+        about=about,
     )
+
+
+def _synergies(path: Path, column: Any) -> NDArray[np.str_]:
+    """The words (n,) of a column of words by their numbers; null is none."""
+    names = to_words(path, "synergies", [*(name or "" for name in column.dictionary.to_pylist()), ""])
+    return names[np.asarray(column.indices.fill_null(len(names) - 1), dtype=np.int64)]

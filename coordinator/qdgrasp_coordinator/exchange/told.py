@@ -3,7 +3,7 @@
 Files come from anywhere: they are read without trust, and refused in one sentence.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.rotation import Floats
 from qdgrasp_coordinator.exchange.about import About
+from qdgrasp_coordinator.exchange.frames import Frame
 from qdgrasp_protocol.errors import InputError
 
-MOST = 10_000_000
+MOST = 2_000_000
 """Grasps in a file, at most."""
+LONGEST = 200
+"""Letters of a name, at most: arrays of names have room for the longest in each place."""
 Kind = TypeVar("Kind", bound=Struct)
-OFF_UNIT = 1e-2
-"""A quaternion may be so much longer or shorter than one, and a matrix so far from a rotation."""
 
 
 class Unusable(InputError):
@@ -49,6 +50,12 @@ class Told:
     """(n, 7): x y z [m] and quaternion xyzw of the hand in the object's frame."""
     is_turned: bool = False
     """Whether the hand's axes are +z towards the object and x across the jaw, not those of its root link."""
+    frame: Frame | None = None
+    """The object's frame in which they are told; None: it is not said."""
+    gripper: str | None = None
+    """Whose poses they are; None: it is not said."""
+    link: str | None = None
+    """Its link whose poses they are; None: it is not said."""
     starts: Mapping[str, Floats] = field(default_factory=dict)
     """Joints that hands start from, by name: (n,) [rad or m], NaN where it is not told."""
     joints: tuple[str, ...] = ()
@@ -82,45 +89,6 @@ def read_about(path: Path, text: str | bytes) -> About:
         return msgspec.json.decode(text, type=About)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise Unusable(path, f"what it says of itself cannot be read ({error})") from None
-
-
-def check(path: Path, told: Told) -> None:
-    """Check that a file tells grasps that can be.
-
-    Raises
-    ------
-    Unusable
-        There is none, a number is not finite, or a quaternion is not one of a rotation.
-    """
-    if not len(told):
-        raise Unusable(path, "there is none in it")
-    finite = np.asarray(np.isfinite(told.poses).all(axis=1))
-    _check_each(path, told, finite, "its pose holds a number that is not finite")
-    lengths = np.linalg.norm(told.poses[:, 3:], axis=1)
-    unit = np.asarray(np.abs(lengths - 1.0) <= OFF_UNIT)
-    wrong = lengths[~unit][0] if not unit.all() else 1.0
-    _check_each(path, told, unit, f"its quaternion must be of length 1, and is of length {wrong:.4g}")
-    for joint, values in told.starts.items():
-        _check_each(path, told, ~np.isinf(values), f"joint '{joint}' is infinite")
-
-
-def check_matrices(path: Path, matrices: Floats) -> None:
-    """Check that matrices (n, 4, 4) are homogeneous ones of rigid motions.
-
-    Raises
-    ------
-    Unusable
-        One is not.
-    """
-    turns = matrices[:, :3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):
-        is_finite = np.isfinite(matrices).all(axis=(1, 2))
-        off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        is_rigid = is_finite & (off <= OFF_UNIT) & (np.linalg.det(turns) > 0)
-        is_rigid &= (matrices[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
-    if not is_rigid.all():
-        number = int(np.flatnonzero(~is_rigid)[0])
-        raise Unusable(path, f"transform {number} is not a rotation and a translation")
 
 
 def decoded(path: Path, payload: bytes, kind: type[Kind]) -> Kind:
@@ -159,6 +127,18 @@ def to_array(
     return found
 
 
-def _check_each(path: Path, told: Told, good: NDArray[np.bool_], what: str) -> None:
-    if not good.all():
-        raise Unusable(path, f"of grasp '{told.names[~good][0]}' {what}")
+def to_words(path: Path, what: str, words: Iterable[str]) -> NDArray[np.str_]:
+    """Words as an array (n,).
+
+    Raises
+    ------
+    Unusable
+        One is too long.
+    """
+    found = list(words)
+    for word in found:
+        if len(word) > LONGEST:
+            raise Unusable(
+                path, f"its {what} must be of {LONGEST} letters at most, and '{word[:20]}...' is longer"
+            )
+    return np.array(found, dtype=str)

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from qdgrasp_coordinator.exchange.told import Unusable
+from qdgrasp_coordinator.exchange.told import LONGEST, Unusable
 
 PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
 RESERVED = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 DEEPEST = 16
 """Levels of lists and mappings in a file that is read."""
-LARGEST = 1 << 30
+LARGEST = 1 << 28
 """Bytes of a file that is read."""
 
 Tree = str | list["Tree"] | dict[str, "Tree"]
@@ -110,6 +110,8 @@ def _put(path: Path, parent: tuple[Tree, list[str]], value: Tree, event: Any) ->
     if isinstance(holder, list):
         holder.append(value)
     elif not key and isinstance(value, str):
+        if len(value) > LONGEST:
+            raise Unusable(path, f"line {event.start_mark.line + 1}: a name is longer than {LONGEST} letters")
         key.append(value)
     elif not key:
         raise Unusable(path, f"line {event.start_mark.line + 1}: a key must be a word")

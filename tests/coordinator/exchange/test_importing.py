@@ -1,6 +1,7 @@
 """`qdgrasp import`: files of ours and of others as poses, and every file that is none in one sentence."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,16 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 import trimesh
+import yaml
 from scipy.spatial.transform import Rotation
+from tests.coordinator.exchange.conftest import COM as ORIGIN
+from tests.coordinator.exchange.conftest import MakeRun
 from typer.testing import CliRunner, Result
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.counts.poses import read_poses
-from qdgrasp_coordinator.exchange import importing, yaml_text
+from qdgrasp_coordinator.exchange import importing, parquet, yaml_text
 from qdgrasp_coordinator.exchange.exporting import export
 from qdgrasp_coordinator.exchange.harvest import read_grasps
 from qdgrasp_coordinator.exchange.importing import Imported
@@ -25,6 +29,7 @@ from qdgrasp_coordinator.exchange.things import Thing, hand_of, thing_of
 from qdgrasp_coordinator.exchange.told import Unusable
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.outcome import Outcome
 
 COM = np.array([0.01, 0.02, 0.03])
 POSITION, TURN = [0.1, -0.2, 0.3], Rotation.from_euler("xyz", [20, -50, 130], degrees=True)
@@ -142,8 +147,13 @@ def test_another_scale_is_pointed_out(panda, tmp_path: Path) -> None:
 
 def test_another_object_and_another_link_are_pointed_out(run: RunFolder, panda, tmp_path: Path) -> None:
     export(run, tmp_path / "f", "parquet")
-    with pytest.raises(Unusable, match="it names joint 'left'; the gripper 'panda' has panda_finger_joint1"):
-        panda(tmp_path / "f")
+    assert panda(tmp_path / "f").notes == (
+        "The file tells poses of link 'palm' of gripper 'jaw'; they are taken for those of link "
+        "'panda_hand' of gripper 'panda'.",
+        "The file names joints that gripper 'panda' does not have: left, right; they are left aside.",
+        "The object 'block' of the file has its centre of mass elsewhere in its mesh, so it is not the same "
+        "object.",
+    )
     hand = run.scene().gripper
     found = importing.read_grasps(tmp_path / "f", hand, Thing(COM, 1.0))
     assert [note[:39] for note in found.notes] == ["The object 'block' of the file has its "]
@@ -156,6 +166,66 @@ def test_a_pose_stays_where_it_is_in_the_mesh_if_the_centre_of_mass_is_elsewhere
     export(run, tmp_path / "f", "parquet", min_fitness=0)
     found = importing.read_grasps(tmp_path / "f", scene.gripper, Thing(COM, 1.0))
     np.testing.assert_allclose(found.arrays["base_position"], grasps.poses("mesh")[:, :3] - COM, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["parquet", "isaac", "acronym", "graspgen"])
+def test_a_frame_other_than_that_of_the_file_is_refused_and_its_own_changes_nothing(
+    run: RunFolder, tmp_path: Path, name: str
+) -> None:
+    out = tmp_path / "f"
+    export(run, out, name)
+    file = out / "grasp_data" / "block.json" if out.is_dir() else out
+    hand, thing = run.scene().gripper, Thing(COM, 1.0)
+    plain, named = (importing.read_grasps(file, hand, thing, frame) for frame in (None, "mesh"))
+    np.testing.assert_array_equal(named.arrays["base_position"], plain.arrays["base_position"])
+    with pytest.raises(Unusable, match="poses are told in the object's mesh frame; leave --frame out"):
+        importing.read_grasps(file, hand, thing, "com")
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"com_in_mesh": ["nan", 0, 0]}, "com_in_mesh in it must be finite"),
+        ({"com_in_mesh": [0, 1e300, 0]}, "com_in_mesh in it must be finite, and not more than 1000 m away"),
+        ({"object_mass": -3}, "object_mass in it must be a number greater than 0, and is -3"),
+        ({"object_mass": "nan"}, "object_mass in it must be a number greater than 0, and is nan"),
+        ({"object_scale": 0}, "scale in it must be a number greater than 0, and is 0"),
+        ({"object_friction": -0.5}, "object_friction in it must not be negative, and is -0.5"),
+        ({"runs": [{"run": "a", "digest": "", "spec": "own?"}]}, "the spec of run 'a' in it cannot be read"),
+    ],
+)
+def test_impossible_numbers_in_what_a_file_of_ours_says_are_refused(
+    run: RunFolder, panda, tmp_path: Path, changed: dict[str, object], why: str
+) -> None:
+    export(run, tmp_path / "f", "isaac")
+    told = yaml.safe_load((tmp_path / "f").read_text())
+    told["qdgrasp"] |= changed
+    (tmp_path / "f").write_text(yaml.safe_dump(told))
+    check_refusal(panda, tmp_path / "f", why)
+
+
+def test_joints_that_the_hand_does_not_have_are_left_aside_with_a_note(panda, tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC.replace("panda_finger_joint1", "finger_joint"))
+    found = panda(tmp_path / "f.yaml")
+    check_pose(found)
+    assert found.notes == (
+        "The file names joints that gripper 'panda' does not have: finger_joint; they are left aside.",
+    )
+
+
+def test_a_file_of_another_gripper_is_pointed_out(panda, tmp_path: Path) -> None:
+    acronym(tmp_path / "f.h5", [matrix()], gripper__type="robotiq")
+    (tmp_path / "f.yaml").write_text(ISAAC.replace("panda_hand", "palm"))
+    taken = "; they are taken for those of link 'panda_hand' of gripper 'panda'."
+    assert panda(tmp_path / "f.h5").notes == (f"The file tells poses of gripper 'robotiq'{taken}",)
+    assert panda(tmp_path / "f.yaml").notes == (f"The file tells poses of link 'palm'{taken}",)
+
+
+def test_a_graspgen_file_of_a_scaled_object_is_of_that_scale(make_run: MakeRun, tmp_path: Path) -> None:
+    run = make_run(Outcome.HELD, scale=0.001)
+    export(run, tmp_path / "out", "graspgen")
+    file, hand = tmp_path / "out" / "grasp_data" / "block.json", run.scene().gripper
+    assert importing.read_grasps(file, hand, Thing(np.array(ORIGIN), 0.001)).notes == ()
 
 
 BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nformat: isaac_grasp\n"
@@ -187,13 +257,14 @@ BAD_YAML = {
         ISAAC[: ISAAC.index("    orientation")] + "    orientation: {w: 0.0, xyz: [0, 0, 0]}\n",
         "'grasp 0' its quaternion must be of length 1, and is of length 0",
     ),
-    "another joint": (ISAAC.replace("joint1: 0.02", "joint7: 0.02"), "it names joint 'panda_finger_joint7'"),
     "joints in a list": (
         ISAAC.replace("\n      panda_finger_joint1: 0.02", " [1]"),
         "must hold joints by name",
     ),
     "an infinite joint": (ISAAC.replace(": 0.04", ": .inf"), "joint1 must be a number"),
     "a grasp that is none": (ISAAC + "  other: 3\n", "other: position must be 3 numbers"),
+    "a long name": (ISAAC.replace("grasp 0", "a" * 201), "a name is longer than 200 letters"),
+    "far away": (ISAAC.replace("0.1, -0.2", "1e30, -0.2"), "'grasp 0' its position is more than 1000 m away"),
     "a block that is not ours": (ISAAC + "qdgrasp: {frame: x}\n", "its block 'qdgrasp' cannot be read"),
 }
 
@@ -210,8 +281,6 @@ def test_yaml_in_the_pure_parser_is_refused_alike(
     panda, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where PyYAML was built without libyaml."""
-    import yaml
-
     monkeypatch.delattr(yaml, "CSafeLoader")
     (tmp_path / "f.yaml").write_text(ISAAC)
     check_pose(panda(tmp_path / "f.yaml"))
@@ -258,15 +327,11 @@ def test_hdf5_with_impossible_transforms_is_refused(panda, tmp_path: Path, trans
 
 
 BAD_DATASETS = {
-    "another joint": (
-        {"gripper__joint_names": ["a"], "grasps__pregrasp_joint_positions": np.zeros((1, 1))},
-        "it names joint 'a'",
-    ),
     "too few positions": (
         {"gripper__joint_names": ["a", "b"], "grasps__pregrasp_joint_positions": np.zeros((1, 1))},
         "must be numbers of shape (1, 2)",
     ),
-    "no names": ({"grasps__pregrasp_joint_positions": np.zeros((1, 1))}, "it is a damaged HDF5 file"),
+    "no names": ({"grasps__pregrasp_joint_positions": np.zeros((1, 1))}, "no dataset 'gripper/joint_names'"),
     "a label": (
         {"gripper__synergy_names": ["a"], "grasps__synergy": [5]},
         "must hold -1 or places in 'gripper/synergy_names'",
@@ -274,8 +339,21 @@ BAD_DATASETS = {
     "another synergy": ({"gripper__synergy_names": ["a"], "grasps__synergy": [0]}, "it names synergy 'a'"),
     "too few numbers": ({"qdgrasp__number": [1, 2]}, "'qdgrasp/number' must be numbers of shape (1)"),
     "words": ({"qdgrasp__about": "{}"}, "what it says of itself cannot be read"),
-    "no weight": ({"object__mass": -1.0}, "'object/mass' must be a number greater than 0"),
-    "a list": ({"object__friction": [1.0, 2.0]}, "'object/friction' must be a number greater than 0"),
+    "no weight": (
+        {"object__mass": -1.0},
+        "the object's mass in it must be a number greater than 0, and is -1",
+    ),
+    "a list": ({"object__friction": [1.0, 2.0]}, "'object/friction' must be a number"),
+    "a list of texts": ({"qdgrasp__about": ["{}"]}, "'qdgrasp/about' must be a text"),
+    "a long name": (
+        {"gripper__synergy_names": ["a" * 201], "grasps__synergy": [0]},
+        "its synergies must be of 200 letters at most, and 'aaaaaaaaaaaaaaaaaaaa...' is longer",
+    ),
+    "wide names": (
+        {"gripper__synergy_names": np.array([b"a"], "S100000"), "grasps__synergy": [0]},
+        "'gripper/synergy_names' must be a list of names",
+    ),
+    "a group": ({"qdgrasp__about__x": 1}, "its 'qdgrasp/about' is no dataset"),
 }
 
 
@@ -288,7 +366,37 @@ def test_hdf5_with_impossible_datasets_is_refused(panda, tmp_path: Path, dataset
 def test_hdf5_that_promises_more_than_can_be_read_is_refused_unread(panda, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "f.h5", "w") as file:
         file.create_dataset("grasps/transforms", (10**12, 4, 4), "f8", chunks=(1, 4, 4))
-    check_refusal(panda, tmp_path / "f.h5", "it has 1000000000000 grasps; at most 10000000 are read")
+    check_refusal(panda, tmp_path / "f.h5", "it has 1000000000000 grasps; at most 2000000 are read")
+
+
+def test_small_hdf5_that_promises_much_is_refused_unread(panda, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "f.h5", "w") as file:
+        file.create_dataset("grasps/transforms", (10**6, 4, 4), "f8", chunks=(1, 4, 4))
+    check_refusal(panda, tmp_path / "f.h5", "its dataset 'grasps/transforms' is far larger than the file")
+    acronym(tmp_path / "g.h5", [matrix()])
+    with h5py.File(tmp_path / "g.h5", "a") as file:
+        file.create_dataset("qdgrasp/about", (2**40,), "f8", chunks=(1,))
+    check_refusal(panda, tmp_path / "g.h5", "its dataset 'qdgrasp/about' must be a text")
+
+
+def test_hdf5_that_points_out_of_itself_is_refused_unread(panda, tmp_path: Path) -> None:
+    acronym(tmp_path / "whole.h5", [matrix()])
+    (tmp_path / "secret").write_bytes(np.eye(4).tobytes())
+    with h5py.File(tmp_path / "link.h5", "w") as file:
+        file["grasps"] = h5py.ExternalLink("whole.h5", "/grasps")
+    with h5py.File(tmp_path / "soft.h5", "w") as file:
+        file["grasps"] = h5py.SoftLink("/grasps")
+    with h5py.File(tmp_path / "raw.h5", "w") as file:
+        outside = [(str(tmp_path / "secret"), 0, 128)]
+        file.create_dataset("grasps/transforms", (1, 4, 4), "f8", external=outside)
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        made = h5py.VirtualLayout((1, 4, 4), "f8")
+        made[:] = h5py.VirtualSource(tmp_path / "whole.h5", "grasps/transforms", (1, 4, 4))
+        file.create_virtual_dataset("grasps/transforms", made)
+    for name in ("link.h5", "soft.h5"):
+        check_refusal(panda, tmp_path / name, "is a link to elsewhere, which is not followed")
+    for name in ("raw.h5", "virtual.h5"):
+        check_refusal(panda, tmp_path / name, "lies in another file, which is not read")
 
 
 def test_hdf5_that_is_no_acronym_file_is_refused(panda, tmp_path: Path) -> None:
@@ -341,6 +449,23 @@ def test_a_parquet_file_without_its_columns_is_refused(run: RunFolder, panda, tm
     check_refusal(panda, tmp_path / "f.parquet", "it is a damaged Parquet file")
 
 
+def test_a_small_parquet_file_that_stands_for_much_is_refused(
+    run: RunFolder, panda, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export(run, tmp_path / "f", "parquet")
+    monkeypatch.setattr(parquet, "MOST_NUMBERS", 10)
+    check_refusal(panda, tmp_path / "f", "it has more than 10 numbers")
+
+
+def test_a_parquet_file_with_long_words_is_refused(run: RunFolder, panda, tmp_path: Path) -> None:
+    export(run, tmp_path / "whole", "parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "whole")
+    words = pa.array(["a" * 1000] * len(table)).dictionary_encode()
+    table = table.set_column(table.schema.get_field_index("synergy"), "synergy", words)
+    pyarrow.parquet.write_table(table, tmp_path / "f.parquet")
+    check_refusal(panda, tmp_path / "f.parquet", "its synergies must be of 200 letters at most")
+
+
 BAD_FILES = {
     "empty": (b"", "it is empty"),
     "blank": (b" \n", "it is empty"),
@@ -352,6 +477,10 @@ BAD_FILES = {
     "too few bits": (
         b'{"transforms": [[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]], "quality_flex_object_in_gripper": []}',
         "its quality must be of shape (1)",
+    ),
+    "a scale of zero": (
+        b'{"transforms": [[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]], "object_scale": 0}',
+        "the object's scale in it must be a number greater than 0, and is 0",
     ),
     "deep JSON": (b'{"grasps": ' + b"[" * 100_000, "it is not JSON with grasps"),
     "a picture": (b"\x89PNG\r\n\x1a\n\0\0", "it is of none of the formats"),
@@ -366,7 +495,18 @@ def test_a_file_of_none_of_the_formats_is_refused(panda, tmp_path: Path, content
 
 def test_a_file_that_is_not_there_is_refused(panda, tmp_path: Path) -> None:
     check_refusal(panda, tmp_path / "none", "no such file or directory")
-    check_refusal(panda, tmp_path, "is a directory")
+    check_refusal(panda, tmp_path, "it is a folder; of one that is for GraspGen name the JSON in grasp_data")
+
+
+def test_a_pipe_is_refused_and_not_waited_for(panda, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "f")
+    check_refusal(panda, tmp_path / "f", "it is no ordinary file")
+
+
+@pytest.mark.parametrize("name", ["csv", "moveit"])
+def test_what_is_only_written_is_told_by_its_name(run: RunFolder, panda, tmp_path: Path, name: str) -> None:
+    export(run, tmp_path / "f", name)
+    check_refusal(panda, tmp_path / "f", "which is not read back; export parquet instead")
 
 
 def command(*arguments: object) -> Result:
