@@ -4,8 +4,6 @@ from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, QhullError
 
 Floats = NDArray[np.float64]
 ALIKE = 6
@@ -36,6 +34,8 @@ class Solid:
             return 0.0
         if not len(self.planes) or not len(other.planes):
             return 0.0
+        from scipy.optimize import linprog  # takes a tenth of a second, and most commands look at no hand
+
         planes = np.concatenate([self.planes, other.planes])
         found = linprog(
             [0.0, 0.0, 0.0, -1.0],
@@ -75,6 +75,8 @@ def _exit(part: Solid, direction: Floats) -> float | None:
 
 
 def _planes(corners: Floats) -> Floats:
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         found = ConvexHull(corners).equations
     except (QhullError, ValueError):

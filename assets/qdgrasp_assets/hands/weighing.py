@@ -4,7 +4,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from qdgrasp_assets.hands.overlap import Floats
 from qdgrasp_assets.hands.structure import listed
@@ -35,8 +34,7 @@ def weigh(hand: Urdf, corners: Corners) -> Iterator[str]:
     if given:
         yield (
             f"{listed('link', [words.partition(' ')[0] for words in given])} given a mass, by the size of "
-            "the "
-            f"shapes at {DENSITY:g} kg/m3 ({', '.join(given)} kg)"
+            f"the shapes at {DENSITY:g} kg/m3 ({', '.join(given)} kg)"
         )
 
 
@@ -66,6 +64,8 @@ def _inertial(parts: tuple[Floats, ...]) -> ET.Element:
 
 def _volume(corners: Floats) -> float:
     """Of the hull of corners (v, 3) [m3]; none of what is flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         return float(ConvexHull(corners).volume)
     except (QhullError, ValueError):

@@ -3,6 +3,8 @@
 import json
 import shlex
 import sys
+from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -14,13 +16,14 @@ from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.check import examine_gripper
 from qdgrasp_assets.gripper import Gripper
 from qdgrasp_assets.hands.base import guess_base
-from qdgrasp_assets.hands.copies import mended_meshes, mended_urdf, write_copy
+from qdgrasp_assets.hands.copies import mended_copy, mended_meshes, mended_urdf
 from qdgrasp_assets.hands.draft import Told, draft
-from qdgrasp_assets.hands.examination import Examination, examine, examine_urdf, hand_faults, read_robot
+from qdgrasp_assets.hands.examination import Examination, examine_hand, examine_urdf, hand_faults, read_robot
 from qdgrasp_assets.hands.source import read_source
 from qdgrasp_assets.hands.writing import toml
 from qdgrasp_assets.urdf import Urdf
-from qdgrasp_coordinator.cli import options, wizard
+from qdgrasp_coordinator.cli import faults, options, wizard
+from qdgrasp_coordinator.folders.out_file import OutFile, picture_folder
 from qdgrasp_protocol.errors import AssetError
 
 app = typer.Typer(no_args_is_help=True, help="Hands of one's own: make their files, and check them.")
@@ -85,16 +88,19 @@ def new(
         free=None if free is None else wizard.words("free", free),
     )
     target = out or Path(urdf.with_suffix(".toml").name)
-    _check_new(target, force=force)
-    robot = _whole(urdf)
-    asks = is_asked() and not yes
-    robot, told = _usable(robot, told, target, mend=mend, asks=asks)
-    reference = _reference(robot.path, target)
-    told = wizard.ask(robot, reference, told) if asks else told
-    made = draft(robot, reference, told)
-    _write(target, toml(made, target.name))
+    file = OutFile(target, (".toml",), force)
+    file.check()
+    robot, asks = _whole(urdf), is_asked() and not yes
+    with ExitStack() as until_written:
+        robot, told = _usable(robot, told, file, until_written, mend=mend, asks=asks)
+        reference = _reference(robot.path, target)
+        told = wizard.ask(robot, reference, told) if asks else told
+        made = draft(robot, reference, told)
+        found = examine_hand(robot, made.file, str(target))
+        typer.echo(found.table)
+        _refuse(found, "was not written")
+        file.write(toml(made, target.name).encode())
     typer.echo(f"written: {target}")
-    _say(examine(target, str(target)), str(target))
     typer.echo(f"look at it: qdgrasp gripper check {shlex.quote(str(target))} --picture pictures")
     typer.echo(f"next: qdgrasp run --gripper {shlex.quote(str(target))} --object mug")
 
@@ -134,58 +140,62 @@ def _examined(name: str) -> tuple[Examination, Gripper | None]:
     return examine_gripper(name), None
 
 
-def _refuse(found: Examination) -> None:
+def _refuse(found: Examination, why: str = "cannot be used as it is") -> None:
+    """Refuse a hand of which all faults were printed."""
     if found.faults:
-        raise AssetError(
-            f"The gripper '{found.name}' cannot be used as it is: {'; and '.join(found.faults)}."
-        )
+        raise AssetError(f"The gripper '{found.name}' {why}: correct {faults.listed(found.faults)}.")
 
 
-def _say(found: Examination, name: str) -> None:
-    typer.echo(found.table)
-    _refuse(found)
-
-
-def _check_new(target: Path, *, force: bool) -> None:
-    """Refuse to write over what is there."""
-    for path in (target, mended_urdf(target), mended_meshes(target)):
+def _check_copy(toml: Path, *, force: bool) -> None:
+    """Refuse to write over a mended copy that is there."""
+    for path in (mended_urdf(toml), mended_meshes(toml)):
         if path.exists() and not force:
             raise AssetError(f"'{path}' is there already; --force replaces it, -o names another file.")
 
 
 def _whole(urdf: Path) -> Urdf:
     """The robot of a URDF that is one tree."""
-    robot, faults = read_robot(urdf, read_source(urdf))
+    robot, found = read_robot(urdf, read_source(urdf))
     if robot is None:
-        raise AssetError(f"The URDF '{urdf}' cannot be used: {'; and '.join(faults)}.")
+        raise AssetError(f"The URDF '{urdf}' cannot be used: {'; and '.join(found)}.")
     return robot
 
 
-def _usable(robot: Urdf, told: Told, target: Path, *, mend: bool, asks: bool) -> tuple[Urdf, Told]:
-    """The robot, or a mended copy of its hand, with the base link that is to be used."""
+def _usable(
+    robot: Urdf, told: Told, file: OutFile, until_written: ExitStack, *, mend: bool, asks: bool
+) -> tuple[Urdf, Told]:
+    """The robot, or a mended copy of its hand, with the base link that is to be used.
+
+    The copy goes where `until_written` ends with an error.
+    """
     base, reason = (told.base_link, told.base_reason) if told.base_link else guess_base(robot)
     if base not in robot.links:
         return robot, told
-    faults = hand_faults(robot, base)
-    if faults and not mend:
-        for fault in faults:
-            typer.echo(f"WRONG {fault}", err=True)
-        mend = asks and typer.confirm("Write a mended copy of the hand, and use that?", default=True)
-        if not mend:
-            raise AssetError(
-                f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(faults)}. --mend writes "
-                "a copy "
-                "of the hand in which what can be mended is."
-            )
+    found = hand_faults(robot, base)
+    if found and not mend:
+        mend = asks and _wants_copy(found)
+    if found and not mend:
+        raise AssetError(
+            f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(found)}. "
+            "--mend writes a copy of the hand in which what can be mended is."
+        )
     if not mend:
         return robot, told
-    copy = write_copy(robot, base, target, _tell, may_centre=told.base_link is None)
+    _check_copy(file.path, force=file.force)
+    may_centre = told.base_link is None
+    copy = until_written.enter_context(mended_copy(robot, base, file.path, _tell, may_centre=may_centre))
     for change in copy.changes or ("nothing had to be",):
         typer.echo(f"mended: {change}")
-    typer.echo(f"written: {mended_urdf(target)}")
+    typer.echo(f"written: {mended_urdf(file.path)}")
     return copy.robot, replace(
         told, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
     )
+
+
+def _wants_copy(found: Iterable[str]) -> bool:
+    for fault in found:
+        typer.echo(f"WRONG {fault}", err=True)
+    return typer.confirm("Write a mended copy of the hand, and use that?", default=True)
 
 
 def _tell(sentence: str) -> None:
@@ -198,20 +208,11 @@ def _reference(urdf: Path, target: Path) -> str:
     return str(whole.relative_to(folder) if whole.is_relative_to(folder) else whole)
 
 
-def _write(target: Path, content: str) -> None:
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise AssetError(f"'{target}' cannot be written: {error.strerror or error}.") from None
-
-
 def _drawn(hand: Gripper, name: str, folder: Path) -> Path:
     """The picture of a gripper, in a folder that is made where it is not there."""
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_gripper
 
-    folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / f"{Path(name).stem}.png"
+    picture = picture_folder(folder) / f"{Path(name).stem}.png"
     draw_gripper(hand.on_carrier("paper"), picture)
     return picture

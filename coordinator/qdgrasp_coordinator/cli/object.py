@@ -20,7 +20,8 @@ from qdgrasp_assets.mesh_file import check_new, write_mesh
 from qdgrasp_assets.solid import Draft, read_draft
 from qdgrasp_assets.target import target_of
 from qdgrasp_assets.units import in_words, scale_of
-from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.cli import faults, options
+from qdgrasp_coordinator.folders.out_file import picture_folder
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import run_spec
 
@@ -29,7 +30,7 @@ app = typer.Typer(no_args_is_help=True, help="Objects of one's own: check them, 
 
 @app.callback()
 def _group() -> None:
-    """Keep `check` a command of its own while it is the only one."""
+    """Keep `check` a word of its own: with a single command and no group, typer would leave it out."""
 
 
 @app.command()
@@ -77,7 +78,9 @@ def check(
     for line in _made(found, draft, path, picture, repaired):
         typer.echo(line, err=as_json)
     if found.faults:
-        raise AssetError(f"The object '{file}' cannot be used as it is: {'; and '.join(found.faults)}.")
+        raise AssetError(
+            f"The object '{file}' cannot be used as it is: correct {faults.listed(found.faults)}."
+        )
     used, used_scale = (file, metres) if repaired is None else (str(repaired), None)
     typer.echo(f"next: {_next(used, used_scale, mass)}", err=as_json)
 
@@ -127,8 +130,7 @@ def _drawn(found: Inspection, draft: Draft, path: Path, folder: Path) -> Path:
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_mesh, draw_object
 
-    folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / f"{path.stem}.png"
+    picture = picture_folder(folder) / f"{path.stem}.png"
     if found.convex is None:
         draw_mesh(path.name, draft.mesh, picture)
     else:

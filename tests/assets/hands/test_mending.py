@@ -5,11 +5,12 @@ import pytest
 import trimesh
 from tests.assets.hands import jaw
 
-from qdgrasp_assets.hands.copies import mended_meshes, mended_urdf, write_copy
+from qdgrasp_assets.hands.copies import mended_copy, mended_meshes, mended_urdf, write_copy
 from qdgrasp_assets.hands.draft import Told, draft
 from qdgrasp_assets.hands.examination import examine, hand_faults
 from qdgrasp_assets.hands.writing import toml
 from qdgrasp_assets.urdf import read_urdf
+from qdgrasp_protocol.errors import AssetError
 
 BOX = '<box size="0.02 0.01 0.06"/>'
 EYE = (
@@ -108,10 +109,67 @@ def test_fingers_beside_the_line_of_approach_get_a_base_link_in_their_middle(jaw
     assert "a new one at (0.08 0 0) m in the frame of 'palm'" in copy.changes[-1]
 
 
-def test_an_older_copy_is_replaced(jaw_urdf):
-    folder = mended_meshes(jaw_urdf.parent / "own.toml")
-    folder.mkdir()
-    (folder / "old.obj").touch()
+def with_mesh(jaw_urdf, edit, kind="ply"):
+    SOLID.export(jaw_urdf.parent / f"pad.{kind}")
+    edit(jaw_urdf, BOX, f'<mesh filename="pad.{kind}"/>')
+
+
+def test_an_older_copy_is_replaced(jaw_urdf, edit):
+    without, target = jaw_urdf.read_text(), jaw_urdf.parent / "own.toml"
+    with_mesh(jaw_urdf, edit)
     mended(jaw_urdf)
-    assert not folder.exists()
-    assert mended_urdf(jaw_urdf.parent / "own.toml").is_file()
+    assert [path.name for path in mended_meshes(target).iterdir()] == ["pad.obj"]
+    jaw_urdf.write_text(without)
+    mended(jaw_urdf)
+    assert not mended_meshes(target).exists()
+    assert mended_urdf(target).is_file()
+    assert not [path for path in target.parent.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("after_a_copy", [False, True])
+def test_a_folder_with_files_of_somebody_else_is_not_replaced(jaw_urdf, edit, after_a_copy):
+    with_mesh(jaw_urdf, edit)
+    folder = mended_meshes(jaw_urdf.parent / "own.toml")
+    if after_a_copy:
+        mended(jaw_urdf)
+    folder.mkdir(exist_ok=True)
+    (folder / "keep.txt").write_text("mine")
+    with pytest.raises(AssetError, match="own_meshes' holds what was not written by --mend, and is not"):
+        mended(jaw_urdf)
+    assert (folder / "keep.txt").read_text() == "mine"
+
+
+def test_a_urdf_of_somebody_else_is_not_replaced(jaw_urdf):
+    own = mended_urdf(jaw_urdf.parent / "own.toml")
+    own.write_text("mine")
+    with pytest.raises(AssetError, match=r"own_mended\.urdf' was not written by --mend"):
+        mended(jaw_urdf)
+    assert own.read_text() == "mine"
+
+
+def test_a_copy_is_not_made_of_what_it_would_replace(jaw_urdf, edit):
+    with_mesh(jaw_urdf, edit)
+    mended(jaw_urdf)
+    copy = mended_urdf(jaw_urdf.parent / "own.toml")
+    before = copy.read_bytes()
+    with pytest.raises(AssetError, match=r"own_mended\.urdf' is the URDF itself"):
+        mended(copy)
+    edit(jaw_urdf, "pad.ply", "own_meshes/pad.obj")
+    with pytest.raises(AssetError, match="own_meshes' holds the meshes of"):
+        mended(jaw_urdf)
+    assert copy.read_bytes() == before
+    assert (copy.parent / "own_meshes" / "pad.obj").is_file()
+
+
+def test_what_was_there_comes_back_where_something_fails(jaw_urdf, edit):
+    with_mesh(jaw_urdf, edit)
+    mended(jaw_urdf)
+    target = jaw_urdf.parent / "own.toml"
+    before = mended_urdf(target).read_bytes()
+    edit(jaw_urdf, "pad.ply", "pad.glb")
+    SOLID.export(jaw_urdf.parent / "pad.glb")
+    arguments = read_urdf(jaw_urdf), "palm", target, lambda _: None
+    with pytest.raises(KeyError), mended_copy(*arguments, may_centre=True):
+        raise KeyError
+    assert mended_urdf(target).read_bytes() == before
+    assert [path.name for path in mended_meshes(target).iterdir()] == ["pad.obj"]

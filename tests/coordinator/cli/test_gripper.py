@@ -1,7 +1,6 @@
 """`qdgrasp gripper`: a hand of one's own from its URDF to a file that can be used."""
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from typer.testing import CliRunner
 from qdgrasp_assets.gripper import read_gripper_file
 from qdgrasp_coordinator.cli import gripper as command
 from qdgrasp_coordinator.cli.gripper import app
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue
+from qdgrasp_protocol.errors import AssetError, FolderError, ImpossibleValue
 
 
 @pytest.fixture
@@ -157,9 +156,35 @@ def test_a_reference_hand_is_as_it_was_published(gripper, reference_data, monkey
     assert "note             the joint 'left_inner_knuckle_joint' is limited the wrong way" in done.stdout
 
 
-def test_what_is_written_is_whole_or_not_there(gripper, tmp_path):
-    shutil.rmtree(tmp_path / "out", ignore_errors=True)
-    (tmp_path / "out").write_text("a file")
+def test_a_file_goes_into_a_folder_that_there_is(gripper):
     done = gripper("new", "jaw.urdf", "-o", "out/jaw.toml")
+    assert isinstance(done.exception, FolderError)
+    assert "'out/jaw.toml' is in no folder that there is" in str(done.exception)
+
+
+def test_the_urdf_is_never_written_over(gripper):
+    done = gripper("new", "jaw.urdf", "-o", "jaw.urdf", "--force")
+    assert str(done.exception) == "'jaw.urdf' must end with .toml; name another file."
+    assert Path("jaw.urdf").read_text() == jaw.URDF
+
+
+def test_what_is_found_bad_is_not_written_and_its_mended_copy_goes(gripper, bare):
+    done = gripper("new", "jaw.urdf", "--standoff", "0.05,0.01", "--mend")
     assert isinstance(done.exception, AssetError)
-    assert "cannot be written" in str(done.exception)
+    assert "WRONG            standoff must be [least, greatest]" in done.stdout
+    assert str(done.exception) == "The gripper 'jaw.toml' was not written: correct the fault that is listed."
+    assert [path.name for path in Path().iterdir()] == ["jaw.urdf"]
+
+
+def test_a_folder_of_somebody_else_stays_whatever_is_forced(gripper, bare):
+    Path("jaw_meshes").mkdir()
+    Path("jaw_meshes/keep.txt").write_text("mine")
+    done = gripper("new", "jaw.urdf", "--mend", "--force", "--yes")
+    assert isinstance(done.exception, AssetError)
+    assert Path("jaw_meshes/keep.txt").read_text() == "mine"
+
+
+def test_pictures_go_into_a_folder(gripper):
+    Path("pictures").write_text("mine")
+    done = gripper("check", "jaw.urdf", "--picture", "pictures")
+    assert str(done.exception) == ("'pictures' is a file, and pictures go into a folder; name another one.")

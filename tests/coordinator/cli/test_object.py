@@ -13,7 +13,7 @@ from qdgrasp_assets.decompose import TookTooLong
 from qdgrasp_assets.inspection import Inspection
 from qdgrasp_assets.solid import read_draft
 from qdgrasp_coordinator.cli.object import app
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import AssetError, FolderError, ImpossibleValue, InputError, UnknownName
 
 BLOCK = (0.02, 0.03, 0.05)
 
@@ -86,7 +86,8 @@ def test_parts_that_are_not_found_in_time_are_a_fault(check, monkeypatch):
     trimesh.creation.annulus(0.02, 0.03, 0.05).export("ring.stl")
     done = check("ring.stl", "--mass", 0.1, "--time-limit", 7)
     assert "WRONG            CoACD did not decompose the mesh 'ring.stl'" in done.stdout
-    assert "within 7 s; simplify the mesh" in str(done.exception)
+    assert "within 7 s; simplify the mesh" in done.stdout
+    assert "correct the fault that is listed" in str(done.exception)
 
 
 def test_two_bodies_are_one_rigid_object(check):
@@ -177,7 +178,7 @@ def test_an_object_is_drawn_also_where_it_is_open(check, good):
         (("--scale", "nan"), ImpossibleValue, r"scale must be"),
         (("--units", "ft"), UnknownName, r"Unknown unit 'ft'\. Known: cm, in, m, mm"),
         (("--units", "mm", "--scale", 2), InputError, r"give only one"),
-        (("--units", "mm"), AssetError, r"2e-05 x 3e-05 x 5e-05 m large, smaller than what a hand grasps"),
+        (("--units", "mm"), AssetError, r"correct the 2 faults that are listed"),
     ],
 )
 def test_flags_that_cannot_be_are_refused_in_one_sentence(check, flags, error, words):
@@ -194,3 +195,10 @@ def test_a_name_of_the_catalog_is_no_file(check):
     assert str(done.exception) == (
         "'mug' is an object of the catalog, no file; `qdgrasp asset check mug` checks it."
     )
+
+
+def test_pictures_go_into_a_folder(check):
+    block().export("part.stl")
+    done = check("part.stl", "--picture", "part.stl")
+    assert isinstance(done.exception, FolderError)
+    assert "'part.stl' is a file, and pictures go into a folder" in str(done.exception)
