@@ -12,6 +12,8 @@ HALF_CLOSED = (0.5, 0.75)
 COURSE = (0.0, 0.25, 0.5, 0.75, 1.0)
 SNAP = np.cos(np.radians(25.0))
 """The cosine from which on a direction is taken for the axis of the frame next to it."""
+SHORT = 5e-3
+"""A way from roots to tips that is shorter has no direction to go by [m]."""
 PAD = 0.35
 """The inner sides of two fingers face each other over this share of their reach, from the tips on."""
 
@@ -23,9 +25,16 @@ def grasp_centre(closing: Closing) -> Floats:
 
 
 def approach(closing: Closing) -> Floats:
-    """The direction (3,) from the fingers' roots to the tips of the half closed hand; an axis if near one."""
+    """The direction (3,) from the fingers' roots to the tips of the half closed hand; an axis if near one.
+
+    Where joints lie in the middle of the fingers, so that this says nothing: from the middle of the palm.
+    """
     roots = np.mean([root(closing.body, finger) for finger in closing.fingers], axis=0)
-    return snapped(grasp_centre(closing) - roots)
+    direction = grasp_centre(closing) - roots
+    palm = closing.body.corners(palm_links(closing.body), {})
+    if np.linalg.norm(direction) < SHORT and len(palm):
+        direction = grasp_centre(closing) - (palm.min(axis=0) + palm.max(axis=0)) / 2
+    return snapped(direction)
 
 
 def snapped(direction: Floats) -> Floats:

@@ -64,7 +64,7 @@ def posture_faults(file: GripperFile, body: Body) -> tuple[str, ...]:
             "no finger link has a collision shape, so that none could touch; those that move and have: "
             f"{links}",
         )
-    return (*_mimicry(hand), *_opendeep_pairs(hand), *_opens(hand), *_looks_away(hand), *_beyond(hand))
+    return (*_mimicry(hand), *_open_overlaps(hand), *_opens(hand), *_looks_away(hand), *_beyond(hand))
 
 
 def _mimicry(hand: Postures) -> Iterator[str]:
@@ -86,7 +86,7 @@ def _mimicry(hand: Postures) -> Iterator[str]:
                 )
 
 
-def _opendeep_pairs(hand: Postures) -> Iterator[str]:
+def _open_overlaps(hand: Postures) -> Iterator[str]:
     """Links that are in each other in the open posture, and not on the way to the closed one."""
     for one, other, deep in deep_pairs(hand, 0.0):
         if not is_always_deep(hand, one, other):

@@ -238,3 +238,12 @@ def test_a_limit_is_written_to_the_last_digit_that_counts(jaw_urdf, edit):
     target = jaw_urdf.parent / "own.toml"
     target.write_text(toml(guessed(jaw_urdf), target.name))
     assert examine(target, "own").faults == ()
+
+
+def test_fingers_whose_joints_lie_in_their_middle_are_approached_from_the_palm(jaw_urdf, edit):
+    for side in ("0.045", "-0.045"):
+        edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0 {side} 0.071"')
+    edit(jaw_urdf, 'origin xyz="0 0 0.03"', 'origin xyz="0 0 0"')
+    file = guessed(jaw_urdf).file
+    assert file.approach_axis == (0.0, 0.0, 1.0)
+    assert file.standoff == pytest.approx((0.0, 0.061))
