@@ -22,7 +22,7 @@ def test_scores_of_exported_grasps_are_those_of_the_run_bit_for_bit(qdgrasp, ref
     scored = qdgrasp(*command.split(), "--workers", 1)
     assert scored.code == 0, scored.err
     rows = read_grasps(run).rows
-    with np.load(qdgrasp.home / "scores.npz") as scores:
+    with np.load(qdgrasp.home / "poses-scores.npz") as scores:
         assert len(rows) > 20
         assert scores["outcome"].tobytes() == rows["outcome"].tobytes()
         assert scores["joints"].tobytes() == rows["joints"].tobytes()

@@ -8,10 +8,12 @@ import typer
 from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.counts.poses import read_poses, write_scores
+from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.runs.preparation import make_bundle
 from qdgrasp_coordinator.watching.progress import display
 from qdgrasp_coordinator.watching.scoring import score
 from qdgrasp_coordinator.watching.supervisor import Team
+from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.spec import run_spec
 from qdgrasp_protocol.trials import trials
@@ -29,6 +31,7 @@ def evaluate(
     protocol: options.ProtocolOption = None,
     workers: options.Workers = None,
     batch_size: options.BatchSize = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the scores if they are there.")] = False,
 ) -> None:
     """Score given hand poses, in the object's centre-of-mass frame.
 
@@ -50,6 +53,7 @@ def evaluate(
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"
         raise typer.BadParameter(f"{missing} is missing: name an npz file.")
+    _check_out(out, poses, force=force)
     spec = run_spec({name: value for name, value in values.items() if value is not None}, "evaluate")
     given = read_poses(poses)
     team = Team(options.cores() if workers is None else workers, batch_size)
@@ -62,3 +66,9 @@ def evaluate(
         raise typer.Exit(stop.exit_code)
     write_scores(out, rows, trials(spec.protocol))
     typer.echo(f"{len(given)} poses scored, written to {out}")
+
+
+def _check_out(out: Path, poses: Path, *, force: bool) -> None:
+    if out.absolute() == poses.absolute() or (out.exists() and poses.exists() and out.samefile(poses)):
+        raise FolderError(f"{out} holds the poses; name another file with --out.")
+    disk.check_file(out, force=force)

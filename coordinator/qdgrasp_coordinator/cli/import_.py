@@ -8,7 +8,7 @@ import typer
 
 from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.cli import options
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_coordinator.folders import disk
 from qdgrasp_protocol.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -43,13 +43,12 @@ def import_(
     from qdgrasp_coordinator.exchange.importing import read_grasps
     from qdgrasp_coordinator.exchange.things import hand_of, thing_of
 
-    if out.exists() and (out.is_dir() or not force):
-        raise FolderError(f"{out} is there already; name another file with -o, or replace it with --force.")
+    disk.check_file(out, force=force)
     metres = scale_of(units, scale)
     told_in = None if frame is None else frame_of(frame)
     found = read_grasps(file, hand_of(gripper), thing_of(object_, metres), told_in)
     flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
-    flags |= {"poses": out, "out": out.with_name("scores.npz")}
+    flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
     found.write(out)
     for note in found.notes:
         typer.echo(note, err=True)

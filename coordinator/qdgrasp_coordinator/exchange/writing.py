@@ -67,18 +67,18 @@ def check_free(out: Path, form: Format, *, force: bool = False) -> None:
     FolderError
         Something is there that may not.
     """
-    if not out.exists() and not out.is_symlink():
-        return
-    kind = "folder" if out.is_dir() else "file"
-    if out.is_dir() != form.is_folder:
-        wanted = "folder" if form.is_folder else "file"
-        raise FolderError(
-            f"{out} is a {kind}, and {form.name} is written as a {wanted}; name another with -o."
-        )
-    if form.is_folder and not graspgen.is_ours(out) and any(out.iterdir()):
+    if not form.is_folder:
+        if out.is_dir():
+            raise FolderError(
+                f"{out} is a folder, and {form.name} is written as a file; name another with -o."
+            )
+        disk.check_file(out, force=force)
+    elif out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise FolderError(f"{out} is a file, and {form.name} is written as a folder; name another with -o.")
+    elif out.exists() and not graspgen.is_ours(out) and any(out.iterdir()):
         raise FolderError(f"{out} holds other files than {form.name} has; name a new folder with -o.")
-    if not force:
-        raise FolderError(f"{out} is there already; name another {kind} with -o, or replace it with --force.")
+    elif out.exists() and not force:
+        raise FolderError(f"{out} is there already; name another folder, or replace it with --force.")
 
 
 def write(out: Path, form: Format, grasps: Grasps, about: About) -> None:

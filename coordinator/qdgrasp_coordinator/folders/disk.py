@@ -126,6 +126,21 @@ def check_free(path: Path) -> None:
         raise FolderError(f"{path} holds other files ({some}); name a new or empty folder with --out.")
 
 
+def check_file(path: Path, *, force: bool = False) -> None:
+    """Check that a file can be written at `path`: nothing is there, or an ordinary file that may be replaced.
+
+    Raises
+    ------
+    FolderError
+        Something else is there: a folder, a device, a link, or a file that is to be kept.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        what = "a link" if path.is_symlink() else "a folder" if path.is_dir() else "a device or pipe"
+        raise FolderError(f"{path} is {what}, which is not replaced; name a file.")
+    if path.exists() and not force:
+        raise FolderError(f"{path} is there already; name another file, or replace it with --force.")
+
+
 def sync(folder: Path) -> None:
     """Bring the names of a folder's files to the disk."""
     handle = os.open(folder, os.O_RDONLY)

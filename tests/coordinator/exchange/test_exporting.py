@@ -1,5 +1,6 @@
 """`qdgrasp export`: what it takes from which folders, what it writes, and what it refuses."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -100,6 +101,19 @@ def test_a_file_is_not_written_over_a_folder_nor_a_folder_over_other_files(
     )
     assert "holds other files" in refusal(run.path, "--format", "graspgen", "-o", run.path, "--force")
     assert RunFolder.is_run(run.path)
+
+
+@each_format
+def test_what_is_no_ordinary_file_or_folder_is_not_replaced_even_by_force(
+    run: RunFolder, tmp_path: Path, name: str
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    export(run, tmp_path / "there", name)
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    for out in ("pipe", "link"):
+        assert "name a" in refusal(run.path, "--format", name, "-o", tmp_path / out, "--force")
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
 
 
 def test_a_format_or_frame_that_is_none_is_refused_with_those_that_are(

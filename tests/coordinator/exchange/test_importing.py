@@ -518,7 +518,7 @@ def test_the_command_writes_poses_for_evaluate_and_says_how_to_score_them(tmp_pa
     out = tmp_path / "poses.npz"
     done = command(tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", out)
     assert done.exit_code == 0, done.exception
-    scores = tmp_path / "scores.npz"
+    scores = tmp_path / "poses-scores.npz"
     assert done.stdout.splitlines() == [
         f"1 poses written to {out}; this scores them:",
         f"  qdgrasp evaluate --gripper panda --object mug --poses {out} --out {scores}",
@@ -543,6 +543,17 @@ def test_what_is_there_is_replaced_by_force_alone(tmp_path: Path) -> None:
     assert (tmp_path / "poses.npz").read_bytes() == b"precious"
     assert command(*asked, "--force").exit_code == 0
     assert len(read_poses(tmp_path / "poses.npz")) == 1
+
+
+def test_what_is_no_ordinary_file_is_not_replaced_even_by_force(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "f.yaml")
+    for name, what in (("pipe", "a device or pipe"), ("link", "a link"), (".", "a folder")):
+        asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / name)
+        assert f"is {what}, which is not replaced" in str(command(*asked, "--force").exception)
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
 
 
 def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,42 @@
+"""`qdgrasp evaluate`: what it does not write over."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_protocol.errors import FolderError
+
+
+def refusal(*arguments: object) -> str:
+    asked = ("evaluate", "--gripper", "panda", "--object", "mug", *map(str, arguments))
+    error = CliRunner().invoke(app, asked).exception
+    assert isinstance(error, FolderError)
+    return str(error)
+
+
+@pytest.fixture
+def poses(tmp_path: Path) -> Path:
+    turns = np.array([[0.0, 0.0, 0.0, 1.0]])
+    np.savez(tmp_path / "poses.npz", base_position=np.zeros((1, 3)), base_quaternion_xyzw=turns)
+    return tmp_path / "poses.npz"
+
+
+def test_poses_are_not_replaced_by_their_scores_even_by_force(poses: Path) -> None:
+    before = poses.read_bytes()
+    (poses.parent / "again.npz").hardlink_to(poses)
+    for out in (poses, poses.parent / "again.npz"):
+        assert "holds the poses" in refusal("--poses", poses, "--out", out, "--force")
+    assert poses.read_bytes() == before
+
+
+def test_scores_that_are_there_are_kept_unless_force_is_given(poses: Path) -> None:
+    out = poses.parent / "scores.npz"
+    out.write_bytes(b"precious")
+    assert "is there already; name another file, or replace it with --force" in refusal(
+        "--poses", poses, "--out", out
+    )
+    assert out.read_bytes() == b"precious"
+    assert "is a folder, which is not replaced" in refusal("--poses", poses, "--out", poses.parent, "--force")
