@@ -76,7 +76,8 @@ def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
         ) from None
     read.merge_vertices(merge_tex=True, merge_norm=True)
     scale = numbers(element, "scale", "1 1 1")
-    return Mesh(np.asarray(read.vertices, dtype=np.float64) * scale, np.asarray(read.faces, dtype=np.int64))
+    mesh = Mesh(np.asarray(read.vertices, dtype=np.float64) * scale, np.asarray(read.faces, dtype=np.int64))
+    return mesh.flipped() if np.prod(scale) < 0 else mesh
 
 
 def is_solid(corners: Floats) -> bool:

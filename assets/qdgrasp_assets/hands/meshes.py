@@ -14,6 +14,9 @@ from qdgrasp_protocol.errors import AssetError
 
 LARGEST = 2.0
 """No link is so large [m]: what is larger was drawn in millimetres."""
+SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
+COUNTS = {"box": 3, "cylinder": 2, "sphere": 1}
+"""How many numbers that is."""
 PACKAGE = "package://"
 TAKEN = (".stl", ".obj", ".dae")
 """Mesh files that the simulator reads."""
@@ -76,7 +79,24 @@ def _fault(hand: Urdf, link: str, shape: ET.Element) -> str:
             f"the link '{link}' has a collision shape <{form.tag}>, and URDF knows {', '.join(FORMS)}: "
             "make it one of those"
         )
-    return _mesh_fault(hand, link, shape, form.get("filename", "")) if form.tag == "mesh" else ""
+    if form.tag == "mesh":
+        return _mesh_fault(hand, link, shape, form.get("filename", ""))
+    return _size_fault(link, form)
+
+
+def _size_fault(link: str, form: ET.Element) -> str:
+    """Whether a box, cylinder or sphere has a size that there can be."""
+    told = " ".join(form.get(name, "") for name in SIZES[form.tag])
+    try:
+        sizes = [float(word) for word in told.split()]
+    except ValueError:
+        sizes = []
+    if len(sizes) == COUNTS[form.tag] and min(sizes) > 0:
+        return ""
+    return (
+        f"the link '{link}' has a collision shape <{form.tag}> of the size '{told}': it takes "
+        f"{' and '.join(SIZES[form.tag])}, {COUNTS[form.tag]} in all, greater than 0"
+    )
 
 
 def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:

@@ -53,6 +53,8 @@ def faults(toml):
         (BOX, '<mesh filename="pad.stl"/>', "the mesh 'pad.stl' of the links 'left', 'right' does not"),
         (BOX, '<mesh filename="package://robotiq/pad.stl"/>', "put the ROS package 'robotiq' there, or"),
         (BOX, '<capsule radius="0.01" length="0.02"/>', "a collision shape <capsule>, and URDF knows mesh,"),
+        (BOX, '<box size="0.02 -0.01 0.06"/>', "a collision shape <box> of the size '0.02 -0.01 0.06': it"),
+        (BOX, '<sphere radius="big"/>', "of the size 'big': it takes radius, 1 in all, greater than 0"),
         (f"<geometry>{BOX}</geometry>", "", "has no shape in its <geometry>"),
     ],
 )  # fmt: skip
@@ -187,3 +189,9 @@ def test_fingers_that_close_beside_the_line_of_approach_are_noted(jaw_toml, jaw_
     for side in ("0.045", "-0.045"):
         edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0.08 {side} 0.041"')
     assert any("the fingers close 80 mm beside the line" in note for note in examine(jaw_toml, "jaw").notes)
+
+
+def test_a_mirrored_mesh_is_no_hollow_one(jaw_toml, jaw_urdf, edit):
+    trimesh.creation.box((0.02, 0.01, 0.06)).export(jaw_urdf.parent / "pad.stl")
+    edit(jaw_urdf, BOX, '<mesh filename="pad.stl" scale="1 -1 1"/>')
+    assert examine(jaw_toml, "jaw").notes == ()
