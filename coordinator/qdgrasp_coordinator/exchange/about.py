@@ -16,12 +16,16 @@ from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.trials import trials
 
-SUCCESS = "a finger touches the object after closing, and it survives at least one of the two shakes"
+SUCCESS = "a finger touches the object after closing"
+GRASP = "a success that survives at least one of the two shakes: fitness 1 or 2"
 FITNESS = "shakes survived in the nominal evaluation: 0, 1 or 2; higher is better"
 ETA = "the share of shakes survived in all trials with disturbed pose and friction, the estimated probability of transfer"  # noqa: E501
+MESH_FILE = "the mesh file"
+MESH_WRITTEN = "the mesh that `qdgrasp export --format graspgen --frame mesh` writes"
+"""Of an object that is built in or from the asset path."""
 OBJECT_FRAMES: dict[Frame, str] = {
-    "mesh": "that of the mesh file: its origin and axes, its lengths times object_scale",
-    "com": "origin at the centre of mass, axes of the mesh file",
+    "mesh": "that of {}: its origin and axes, its lengths times object_scale",
+    "com": "origin at the centre of mass, axes of {}",
 }
 UNITS = "m, rad, kg"
 XYZW = "x, y, z, w"
@@ -83,6 +87,7 @@ class About(Struct, frozen=True, kw_only=True):
     protocol: str
     """The evaluation protocol."""
     success: str = SUCCESS
+    grasp: str = GRASP
     fitness: str = FITNESS
     confidence: str
     """What it is, 0 to 1; higher is better."""
@@ -111,6 +116,7 @@ def about(folder: RunFolder, grasps: Grasps, frame: Frame) -> About:
     """What a file of grasps from a run's folder says, told in a frame of the object."""
     scene = grasps.scene
     hand, body = scene.gripper, scene.object
+    file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
     with folder.journal() as journal:
         runs, bundle = _origins(folder, journal), journal.scene
     return About(
@@ -118,19 +124,19 @@ def about(folder: RunFolder, grasps: Grasps, frame: Frame) -> About:
         gripper=hand.name,
         gripper_frame=hand.base_link,
         gripper_axes=f"those of link '{hand.base_link}'; it approaches along {_numbers(hand.approach_axis)}",
-        gripper_source=hand.source,
-        gripper_licence=hand.licence,
+        gripper_source=_plain(hand.source),
+        gripper_licence=_plain(hand.licence),
         object=body.name,
-        object_file=Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else "",
+        object_file=file,
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
-        object_frame=OBJECT_FRAMES[frame],
+        object_frame=OBJECT_FRAMES[frame].format(MESH_FILE if file else MESH_WRITTEN),
         frame=frame,
         object_com=(0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh,
         com_in_mesh=body.com_in_mesh,
         object_mass=body.mass,
         object_friction=body.lateral_friction,
-        object_source=body.source,
-        object_licence=body.licence,
+        object_source=_plain(body.source),
+        object_licence=_plain(body.licence),
         collision_parts=body.collision_source,
         quaternions=XYZW,
         protocol=scene.protocol,
@@ -156,6 +162,11 @@ def _origins(folder: RunFolder, journal: Journal) -> tuple[Origin, ...]:
 
 def _toml(spec: RunSpec) -> str:
     return to_toml(msgspec.structs.replace(spec, poses=None))
+
+
+def _plain(text: str) -> str:
+    """A text without characters that control, which formats have no place for; with its lines."""
+    return "".join(letter for letter in text if letter.isprintable() or letter == "\n")
 
 
 def _numbers(values: tuple[float, ...]) -> str:

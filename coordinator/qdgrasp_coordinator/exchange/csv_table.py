@@ -17,14 +17,14 @@ def write(path: Path, grasps: Grasps, about: About) -> None:
     """Write grasps as CSV in UTF-8, lines ended by a newline."""
     table = list(columns(grasps, about.frame))
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(f"# {line}\n" for line in _said(about))
+        file.writelines(f"# {line}\n" for said in _said(about) for line in said.splitlines())
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(column.name for column in table)
         writer.writerows(zip(*(_words(column.values) for column in table), strict=True))
 
 
 def _said(about: About) -> Iterator[str]:
-    """What the file says of itself, a line each; of a spec a line for each of its own."""
+    """What the file says of itself: texts, the lines of each spec on lines of their own."""
     for name, value in about.values.items():
         if name != "runs":
             words = " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)

@@ -19,6 +19,7 @@ from qdgrasp_coordinator.exchange.decimals import decimals
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.exchange.told import Told, Unusable, to_words
 from qdgrasp_coordinator.exchange.yaml_text import Tree, block, read_tree, word
+from qdgrasp_protocol.genome import NO_SYNERGY
 
 FORMAT, VERSION = "isaac_grasp", 1.0
 BESIDE = "grasps"
@@ -43,17 +44,22 @@ def _frames(about: About) -> dict[str, str]:
 
 
 def _beside(grasps: Grasps) -> Iterator[str]:
-    """What the format has no place for, in the order of the grasps, as the end of the block `qdgrasp`."""
+    """What the format has no place for, in the order of the grasps, as the end of the block `qdgrasp`.
+
+    Lists of nothing are left out.
+    """
     yield f"  {BESIDE}:\n"
     names = [word(name) for name in grasps.synergy_names] + ["''"]
     known = ~np.isnan(grasps.eta)
     etas = np.where(known, np.array(decimals(grasps.eta[:, None])).reshape(-1), "null")
-    for key, words in (
-        ("fitness", map(str, grasps.fitness.tolist())),
-        ("eta", etas.tolist()),
-        ("synergy", (names[label] for label in grasps.synergies.tolist())),
+    closing = [names[label] for label in grasps.synergies.tolist()]
+    for key, words, is_told in (
+        ("fitness", map(str, grasps.fitness.tolist()), True),
+        ("eta", etas.tolist(), known.any()),
+        ("synergy", closing, (grasps.synergies != NO_SYNERGY).any()),
     ):
-        yield f"    {key}: [{', '.join(words)}]\n"
+        if is_told:
+            yield f"    {key}: [{', '.join(words)}]\n"
 
 
 def _lines(grasps: Grasps, about: About) -> Iterator[str]:

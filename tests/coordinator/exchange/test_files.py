@@ -1,21 +1,24 @@
 """Every format: what independent readers find in its files, and what the files say of themselves."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import h5py
+import msgspec
 import numpy as np
 import pyarrow.parquet
 import pytest
 import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
-from tests.coordinator.exchange.conftest import COM, MakeRun
+from tests.coordinator.exchange.conftest import COM, MakeRun, random_rows
 from tests.coordinator.exchange.readers import JOINTS, READERS, TURNED, homogeneous
+from tests.coordinator.recorded_runs import record
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.exchange import importing
-from qdgrasp_coordinator.exchange.about import About
+from qdgrasp_coordinator.exchange.about import About, about
 from qdgrasp_coordinator.exchange.exporting import export
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.exchange.harvest import read_grasps
@@ -94,9 +97,32 @@ def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_p
     assert (said["frame"], said["units"], said["protocol"]) == ("mesh", "m, rad, kg", "paper")
     assert (said["gripper_licence"], said["object_licence"]) == ("Apache-2.0", "Apache-2.0")
     assert float(said["object_scale"]) == 1.0
-    assert "shakes" in said["success"]
+    assert said["success"] == "a finger touches the object after closing"
+    assert "at least one of the two shakes" in said["grasp"]
     assert "higher is better" in said["fitness"]
     assert ("x from one finger to the other" in said["gripper_axes"]) == (name in TURNED)
+
+
+@each_format
+def test_a_licence_of_several_lines_and_with_control_characters_is_kept_in_its_lines(
+    make_run: MakeRun, scene: Scene, tmp_path: Path, name: str
+) -> None:
+    licence = "BSD-3\nCopyright\0 \x1b somebody"
+    hand = msgspec.structs.replace(scene.gripper, licence=licence)
+    rows = random_rows(scene, [Outcome.HELD] * 2)
+    run = record(tmp_path / "run", msgspec.structs.replace(scene, gripper=hand), rows, method="contact_rand")
+    export(run, tmp_path / "out", name)
+    assert len(READERS[name](tmp_path / "out").quality) == 2
+    said = words_of(tmp_path / "out", name)["gripper_licence"]
+    assert said == "BSD-3" if name == "csv" else said == "BSD-3\nCopyright  somebody"
+
+
+def test_a_built_in_object_has_the_frame_of_a_mesh_that_can_be_had(run: RunFolder, grasps: Grasps) -> None:
+    told = about(run, grasps, "mesh")
+    spec = msgspec.structs.replace(grasps.spec, object="mug")
+    assert told.object_frame.startswith("that of the mesh file: ")
+    built_in = about(run, dataclasses.replace(grasps, spec=spec), "mesh")
+    assert built_in.object_frame.startswith("that of the mesh that `qdgrasp export --format graspgen")
 
 
 @each_format
@@ -143,6 +169,11 @@ def test_isaac_names_grasps_by_their_numbers_and_frames_by_both_spellings(
     assert list(told["grasps"]) == [f"grasp_{number}" for number in grasps.numbers]
     assert told["gripper_frame"] == told["gripper_frame_link"] == "palm"
     assert told["object_frame"] == told["object_frame_link"] == "block"
+
+
+def test_isaac_has_no_lists_of_nothing(run: RunFolder, tmp_path: Path) -> None:
+    export(run, tmp_path / "out", "isaac")
+    assert list(READERS["isaac"](tmp_path / "out").beside["qdgrasp"]["grasps"]) == ["fitness"]
 
 
 def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
