@@ -2,6 +2,7 @@
 
 import tomllib
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -211,6 +212,8 @@ def read_gripper_file(path: Path) -> GripperFile:
     UnknownKey, AssetError
         As in `read_gripper`.
     """
+    if path.exists() and not path.is_file():
+        raise AssetError(f"'{path}' is no ordinary file; name a gripper's TOML file.")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -265,9 +268,8 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     for name in moving:
         if name not in file.joints:
             yield (
-                f"it says nothing about the joint '{name}' of '{robot.path}', which moves; add "
-                f"[joints.{name}] "
-                "with its open and closed positions, or with driven = false"
+                f"it says nothing about the joint '{name}' of '{robot.path}', which moves; "
+                f"add [joints.{name}] with its open and closed positions, or with driven = false"
             )
     for name, table in file.joints.items():
         if name in moving:
@@ -314,6 +316,8 @@ def _number_faults(file: GripperFile) -> Iterator[str]:
         yield from _jaw_faults(file, file.jaw)
     if not file.finger_links:
         yield "finger_links must name at least one link"
+    for link in sorted(link for link, times in Counter(file.finger_links).items() if times > 1):
+        yield f"finger_links names '{link}' more than once; name each link once"
 
 
 def _jaw_faults(file: GripperFile, jaw: JawTable) -> Iterator[str]:

@@ -101,6 +101,10 @@ def _loaded(path: Path) -> Any:
         raise AssetError(_not_read(path, kind))
     try:
         return trimesh.load_scene(path, process=False)
+    except ImportError:  # a package that guesses what damaged text was meant to be
+        raise AssetError(
+            f"The mesh '{path}' is damaged: it is no whole {kind} file; export it again, for example as STL."
+        ) from None
     except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
         raise AssetError(
             f"The mesh '{path}' cannot be read as {kind}: {type(error).__name__}: {error}; export it again, "

@@ -54,6 +54,7 @@ def test_a_gripper_that_is_not_listed_is_named_by_its_file(claw):
         ("claw.toml", "palm_offset = 0.05", "palm_offset = -1", "palm_offset must be 0 or more"),
         ("claw.toml", "palm_offset = 0.05", "", "missing required field `palm_offset`"),
         ("claw.toml", '["finger"]', "[]", "finger_links must name at least one"),
+        ("claw.toml", '["finger"]', '["finger", "finger"]', "finger_links names 'finger' more than once"),
         ("claw.toml", "standoff =", "standoff", "is not TOML"),
         ("claw.toml", '"claw.urdf"', '"none.urdf"', "No URDF can be read at '.*none.urdf'"),
         ("claw.toml", '"claw.urdf"', '"asset://none.urdf"', "needs 'none.urdf' of the reference data"),

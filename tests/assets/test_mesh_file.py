@@ -120,3 +120,12 @@ def test_every_format_that_is_named_is_read_or_needs_a_package():
 
 OTHERS = {"stl_ascii", "xyz"}
 """Another name, and points alone."""
+
+
+def test_a_damaged_stl_is_told_for_what_it_is(tmp_path):
+    """What is no text either is no question of packages."""
+    path = tmp_path / "part.stl"
+    path.write_bytes(bytes(80) + b"\xff" * 4)
+    with pytest.raises(AssetError, match=r"part\.stl' (is damaged|cannot be read)") as refused:
+        read_mesh_file(path)
+    assert "module" not in str(refused.value).lower()

@@ -13,10 +13,12 @@ from qdgrasp_assets.hands.closing import Closing, find_closing
 from qdgrasp_assets.hands.overlap import Floats
 from qdgrasp_assets.hands.thumb import pinches
 from qdgrasp_assets.scene import Vector
-from qdgrasp_assets.urdf import Urdf
+from qdgrasp_assets.urdf import Urdf, UrdfJoint
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 
 TOLD = "as told"
+ROUNDING = 1e-6
+"""Limits are written with so many decimals, or more."""
 CLOSING_TIME = 100 / 240
 """How long an evaluation closes the hand [s] (docs/protocols.md)."""
 STRONGEST = {True: 200.0, False: 2000.0}
@@ -58,6 +60,8 @@ def draft(robot: Urdf, urdf: str, told: Told) -> Draft:
     ------
     UnknownName
         What is told names a link or joint that the hand does not have.
+    ImpossibleValue
+        A joint is told to be beyond its limits, or the approach axis is no direction.
     AssetError
         A mesh cannot be read, or no finger can be found and none is told.
     """
@@ -119,6 +123,16 @@ def _check_names(body: Body, told: Told) -> None:
     for joint in (*told.opened, *told.closed, *(told.free or ())):
         if joint not in body.moving:
             raise UnknownName("moving joint", joint, body.moving)
+    for label, positions in (("open", told.opened), ("closed", told.closed)):
+        for joint, position in positions.items():
+            _check_position(body.joint(joint), label, position)
+
+
+def _check_position(joint: UrdfJoint, label: str, position: float) -> None:
+    limited = joint.kind != "continuous" and joint.lower < joint.upper
+    if limited and not joint.lower - ROUNDING <= position <= joint.upper + ROUNDING:
+        within = f"within the limits {joint.lower:g} to {joint.upper:g} of that joint"
+        raise ImpossibleValue(f"{label} {joint.name}", position, within)
 
 
 def _as_told(closing: Closing, told: Told) -> Closing:

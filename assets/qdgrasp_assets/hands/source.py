@@ -44,6 +44,8 @@ def read_source(path: Path) -> ET.Element:
 
 
 def _text(path: Path) -> str:
+    if path.exists() and not path.is_file():
+        raise AssetError(f"'{path}' is no ordinary file; name the robot's .urdf file.")
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

@@ -163,6 +163,8 @@ def test_what_is_told_is_not_guessed(jaw_urdf):
         ({"base_link": "plam"}, UnknownName, "Unknown link 'plam'. Did you mean 'palm'"),
         ({"finger_links": ("lef",)}, UnknownName, "Unknown link 'lef'. Did you mean 'left'"),
         ({"closed": {"slid": 0.0}}, UnknownName, "Unknown moving joint 'slid'. Did you mean 'slide'"),
+        ({"closed": {"slide": 1.0}}, ImpossibleValue, "closed slide must be within the limits -0.04 to 0 of"),
+        ({"opened": {"slide": -3.0}}, ImpossibleValue, "open slide must be within the limits -0.04 to 0 of"),
         ({"approach_axis": (0.0, 0.0, 0.0)}, ImpossibleValue, "approach-axis must be a direction"),
         ({"base_link": "left"}, AssetError, "none of its joints moves; name another --base-link"),
     ],

@@ -1,5 +1,8 @@
+import os
+
 import pytest
 
+from qdgrasp_assets.gripper import read_gripper_file
 from qdgrasp_assets.hands.source import read_source
 from qdgrasp_protocol.errors import AssetError
 
@@ -54,3 +57,11 @@ def test_what_is_no_urdf_is_told_for_what_it_is(tmp_path, name, content, sentenc
 def test_a_file_that_is_not_there_is_told(tmp_path):
     with pytest.raises(AssetError, match=r"No URDF can be read at '.*hand.urdf': No such file"):
         read_source(tmp_path / "hand.urdf")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "hand.urdf")
+    os.mkfifo(tmp_path / "hand.toml")
+    for read, name in ((read_source, "hand.urdf"), (read_gripper_file, "hand.toml")):
+        with pytest.raises(AssetError, match=f"{name}' is no ordinary file"):
+            read(tmp_path / name)
