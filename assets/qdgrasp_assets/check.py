@@ -103,7 +103,7 @@ _SCANS: dict[str, Callable[[str], Report]] = {
 
 def _mesh_file(name: str) -> Report:
     draft = read_draft(named_path(name))
-    found = inspect(draft, name, parts=False)
+    found = inspect(draft, name, glued=True, parts=False)
     return Report(name, found.facts + (() if found.faults else (_known_hulls(draft.mesh),)), found.faults)
 
 

@@ -10,7 +10,7 @@ from qdgrasp_assets.convex import TIME_LIMIT, Tell, collision_parts, quietly
 from qdgrasp_assets.mesh import Floats, Mesh
 from qdgrasp_assets.room import Room
 from qdgrasp_assets.solid import Draft
-from qdgrasp_assets.solidity import Edges, body_volumes
+from qdgrasp_assets.solidity import Edges, apart, body_volumes
 from qdgrasp_assets.surface import POINTS_PER_METRE
 from qdgrasp_assets.units import in_words
 from qdgrasp_protocol.errors import AssetError
@@ -125,6 +125,7 @@ def inspect(
     *,
     scale: float | None = None,
     mass: float | None = None,
+    glued: bool = False,
     parts: bool = True,
     time_limit: float = TIME_LIMIT,
     tell: Tell = quietly,
@@ -139,6 +140,8 @@ def inspect(
         What it was read with; None: 1.
     mass
         [kg]; None: unknown.
+    glued
+        Whether bodies that are apart are meant to be one rigid object.
     parts
         Whether its convex parts are found, which takes minutes where they are not kept already.
     time_limit
@@ -163,6 +166,8 @@ def inspect(
     if found.faults:
         return found
     found = _measured(found, mesh, mass)
+    if not glued and (fault := apart(mesh)):
+        return msgspec.structs.replace(found, faults=(fault,))
     return _with_parts(found, mesh, time_limit, tell) if parts else found
 
 

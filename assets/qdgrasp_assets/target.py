@@ -1,5 +1,6 @@
 """Objects to grasp: a closed mesh with mass, friction and convex parts."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,10 @@ from qdgrasp_assets.convex import collision_parts
 from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj
 from qdgrasp_assets.scene import SceneObject, Vector
 from qdgrasp_assets.solid import read_solid
+from qdgrasp_assets.solidity import gap
 from qdgrasp_protocol.errors import AssetError
+
+log = logging.getLogger(__name__)
 
 LATERAL_FRICTION = 0.5
 ROLLING_FRICTION = 0.01
@@ -81,6 +85,10 @@ def read_target(path: Path, mass: float | None, scale: float | None = None) -> T
         The mesh cannot be used, or there is no mass.
     """
     mesh = read_solid(path, scale)
+    if room := gap(mesh):
+        log.warning(
+            "Bodies of '%s' with %.4f m of air between them are moved as one rigid object.", path, room
+        )
     if mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
     return target_of(mesh, path, mass, scale)

@@ -41,6 +41,9 @@ def check(
     mass: Annotated[
         float | None, typer.Option(metavar="KG", help="What it weighs; a run of it needs that.")
     ] = None,
+    glued: Annotated[
+        bool, typer.Option("--glued", help="Bodies that are apart are meant to be one rigid object.")
+    ] = False,
     picture: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw it and its convex parts, or where it is open.")
     ] = None,
@@ -72,7 +75,14 @@ def check(
     draft = read_draft(path, metres, fill_holes=fill_holes)
     with _told(as_json) as tell:
         found = inspect(
-            draft, file, scale=metres, mass=mass, parts=not no_parts, time_limit=time_limit, tell=tell
+            draft,
+            file,
+            scale=metres,
+            mass=mass,
+            glued=glued,
+            parts=not no_parts,
+            time_limit=time_limit,
+            tell=tell,
         )
     typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
     for line in _made(found, draft, path, picture, repaired):

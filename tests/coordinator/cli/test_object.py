@@ -90,12 +90,22 @@ def test_parts_that_are_not_found_in_time_are_a_fault(check, monkeypatch):
     assert "correct the fault that is listed" in str(done.exception)
 
 
-def test_two_bodies_are_one_rigid_object(check):
+def test_two_bodies_that_are_apart_are_one_object_only_if_that_is_said(check):
     trimesh.util.concatenate([block(), block().apply_translation((0.05, 0, 0))]).export("two.stl")
     done = check("two.stl", "--mass", 0.1, "--no-parts")
+    assert isinstance(done.exception, AssetError)
+    assert "WRONG            it is of bodies with 0.0300 m of air between them" in done.stdout
+    assert "or say with --glued that they are moved as one" in done.stdout
+    done = check("two.stl", "--mass", 0.1, "--no-parts", "--glued")
     assert done.exit_code == 0
     assert "bodies           2" in done.stdout
     assert "its 2 bodies are moved as one rigid object, as if they were glued" in done.stdout
+
+
+@pytest.mark.parametrize("shift", [0.02, 0.0205])
+def test_bodies_that_meet_are_one_object_without_a_word_for_it(check, shift):
+    trimesh.util.concatenate([block(), block().apply_translation((shift, 0, 0))]).export("pair.stl")
+    assert check("pair.stl", "--mass", 0.1, "--no-parts").exit_code == 0
 
 
 def test_a_surface_that_cuts_itself_is_told_of(check):
