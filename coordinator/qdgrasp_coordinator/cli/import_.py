@@ -14,6 +14,9 @@ from qdgrasp_protocol.spec import RunSpec
 if TYPE_CHECKING:
     from qdgrasp_coordinator.exchange.importing import Imported
 
+LARGE = 1 << 24
+"""Bytes of a file that takes its time, which is then said."""
+
 
 def import_(
     file: Annotated[
@@ -45,6 +48,8 @@ def import_(
 
     disk.check_file(out, force=force)
     metres = scale_of(units, scale)
+    if file.is_file() and file.stat().st_size > LARGE:
+        typer.echo(f"reading {file}, {file.stat().st_size >> 20} MiB", err=True)
     told_in = None if frame is None else frame_of(frame)
     found = read_grasps(file, hand_of(gripper), thing_of(object_, metres), told_in)
     flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)

@@ -6,7 +6,6 @@ poses from `grasps` and pass over what they do not know, such as the block `qdgr
 """
 
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -24,6 +23,8 @@ from qdgrasp_protocol.genome import NO_SYNERGY
 FORMAT, VERSION = "isaac_grasp", 1.0
 BESIDE = "grasps"
 """The lists in the block `qdgrasp` that have an item for each grasp."""
+MOST_JOINTS = 1000
+"""Of a hand, at most."""
 WXYZ = "w, then xyz = [x, y, z]"
 
 
@@ -105,7 +106,7 @@ def read(path: Path) -> Told:
         )
     if not isinstance(tree, dict) or tree.get("format") != FORMAT:
         raise Unusable(path, f"it is YAML, but not an Isaac grasp file: it has no 'format: {FORMAT}'")
-    if _numbers(path, "format_version", [tree.get("format_version", "")], 1) != [VERSION]:
+    if _numbers(path, ("format_version",), [tree.get("format_version", "")], 1) != [VERSION]:
         raise Unusable(path, f"it is of format version {tree['format_version']}; {VERSION} is read")
     grasps = tree.get("grasps")
     if not isinstance(grasps, dict):
@@ -158,15 +159,15 @@ def _pose(path: Path, name: str, grasp: Tree) -> list[float]:
     orientation = told.get("orientation")
     turn = orientation if isinstance(orientation, dict) else {}
     return [
-        *_numbers(path, f"{name}: position", told.get("position"), 3),
-        *_numbers(path, f"{name}: orientation: xyz", turn.get("xyz"), 3),
-        *_numbers(path, f"{name}: orientation: w", [turn.get("w", "")], 1),
+        *_numbers(path, (name, "position"), told.get("position"), 3),
+        *_numbers(path, (name, "orientation", "xyz"), turn.get("xyz"), 3),
+        *_numbers(path, (name, "orientation", "w"), [turn.get("w", "")], 1),
     ]
 
 
 def _confidence(path: Path, name: str, grasp: Tree) -> float:
     told = grasp.get("confidence") if isinstance(grasp, dict) else None
-    return np.nan if told is None else _numbers(path, f"{name}: confidence", [told], 1)[0]
+    return np.nan if told is None else _numbers(path, (name, "confidence"), [told], 1)[0]
 
 
 def _joints(path: Path, grasps: dict[str, Tree], key: str) -> dict[str, Floats]:
@@ -177,14 +178,20 @@ def _joints(path: Path, grasps: dict[str, Tree], key: str) -> dict[str, Floats]:
         if not isinstance(told, dict):
             raise Unusable(path, f"{name}: {key} must hold joints by name")
         for joint, value in told.items():
-            values = found.setdefault(joint, np.full(len(grasps), np.nan))
-            (values[place],) = _numbers(path, f"{name}: {key}: {joint}", [value], 1)
+            if joint not in found:
+                if len(found) == MOST_JOINTS:
+                    raise Unusable(path, f"{name}: {key}: there are more than {MOST_JOINTS} joints")
+                found[joint] = np.full(len(grasps), np.nan)
+            (found[joint][place],) = _numbers(path, (name, key, joint), [value], 1)
     return found
 
 
-def _numbers(path: Path, what: str, values: Tree | None, count: int) -> list[float]:
-    """So many numbers, which are words yet."""
+def _numbers(path: Path, what: tuple[str, ...], values: Tree | None, count: int) -> list[float]:
+    """So many numbers, which are words yet; `what` they are is told by keys."""
     if isinstance(values, list) and len(values) == count:
-        with suppress(ValueError, TypeError):
+        try:
             return [float(value) for value in values]  # type: ignore[arg-type]  # what is no word is no number
-    raise Unusable(path, f"{what} must be {'a number' if count == 1 else f'{count} numbers'}")
+        except (ValueError, TypeError):
+            pass
+    wanted = "a number" if count == 1 else f"{count} numbers"
+    raise Unusable(path, f"{': '.join(what)} must be {wanted}")

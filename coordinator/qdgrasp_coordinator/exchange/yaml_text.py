@@ -79,26 +79,23 @@ def _tree(path: Path, events: Iterator[Any]) -> Tree:
     """Build what events tell of, without recursion."""
     import yaml
 
+    values = (yaml.ScalarEvent, yaml.MappingStartEvent, yaml.SequenceStartEvent)
     whole: list[Tree] = []
     open_: list[tuple[Tree, list[str]]] = [(whole, [])]
     for event in events:
-        if (
-            isinstance(event, yaml.AliasEvent)
-            or getattr(event, "anchor", None)
-            or getattr(event, "tag", None)
-        ):
+        kind = type(event)  # by far the most are scalars, and there are millions of them
+        if kind is yaml.AliasEvent or (kind in values and (event.anchor or event.tag)):
             raise Unusable(path, f"line {event.start_mark.line + 1}: anchors, aliases and tags are not read")
-        match event:
-            case yaml.ScalarEvent():
-                _put(path, open_[-1], event.value, event)
-            case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
-                made: Tree = {} if isinstance(event, yaml.MappingStartEvent) else []
-                _put(path, open_[-1], made, event)
-                open_.append((made, []))
-                if len(open_) > DEEPEST:
-                    raise Unusable(path, f"it is nested more than {DEEPEST} levels deep")
-            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
-                open_.pop()
+        if kind is yaml.ScalarEvent:
+            _put(path, open_[-1], event.value, event)
+        elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
+            made: Tree = {} if kind is yaml.MappingStartEvent else []
+            _put(path, open_[-1], made, event)
+            open_.append((made, []))
+            if len(open_) > DEEPEST:
+                raise Unusable(path, f"it is nested more than {DEEPEST} levels deep")
+        elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
+            open_.pop()
     if len(whole) != 1:
         raise Unusable(path, f"it must be one YAML document, and is {len(whole)}")
     return whole[0]

@@ -263,6 +263,10 @@ BAD_YAML = {
     ),
     "an infinite joint": (ISAAC.replace(": 0.04", ": .inf"), "joint1 must be a number"),
     "a grasp that is none": (ISAAC + "  other: 3\n", "other: position must be 3 numbers"),
+    "very many joints": (
+        ISAAC + "".join(f"      joint{number}: 0\n" for number in range(1000)),
+        "pregrasp_cspace_position: there are more than 1000 joints",
+    ),
     "a long name": (ISAAC.replace("grasp 0", "a" * 201), "a name is longer than 200 letters"),
     "far away": (ISAAC.replace("0.1, -0.2", "1e30, -0.2"), "'grasp 0' its position is more than 1000 m away"),
     "a block that is not ours": (ISAAC + "qdgrasp: {frame: x}\n", "its block 'qdgrasp' cannot be read"),
@@ -554,6 +558,15 @@ def test_what_is_no_ordinary_file_is_not_replaced_even_by_force(tmp_path: Path) 
         assert f"is {what}, which is not replaced" in str(command(*asked, "--force").exception)
     assert (tmp_path / "pipe").is_fifo()
     assert (tmp_path / "link").is_symlink()
+
+
+def test_of_a_large_file_it_is_said_that_it_is_being_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("qdgrasp_coordinator.cli.import_.LARGE", 100)
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    done = command(tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "p.npz")
+    assert done.stderr == f"reading {tmp_path / 'f.yaml'}, 0 MiB\n"
 
 
 def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:
