@@ -146,7 +146,10 @@ class Evaluations:
         self._lots.put(lot.assignment)
         if self._end is not None:
             raise self._end
-        return lot.rows.result(timeout)
+        try:
+            return lot.rows.result(timeout)
+        except TimeoutError:
+            raise TimeoutError(f"{len(asked)} genomes are not all evaluated after {timeout:g} s.") from None
 
     def _assignment(self, genomes: Genomes) -> Assignment:
         pipeline = Pipeline(

@@ -163,7 +163,9 @@ def optimise(
 
 def _folder(path: Path, spec: RunSpec, place: Place, *, resume: bool) -> RunFolder:
     """The run's folder: begun, or the one that is there."""
-    if not (resume and RunFolder.is_run(path)):
+    if not resume and RunFolder.is_run(path):
+        raise FolderError(f"{path} holds a run already: resume=True goes on with it, or name another folder.")
+    if not RunFolder.is_run(path):
         RunFolder.check_free(path)
         return RunFolder.create(path, spec, pack_scene(build_scene(spec)), job=place.job)
     folder = RunFolder(path)

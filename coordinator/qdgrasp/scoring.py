@@ -65,6 +65,8 @@ def evaluate(
     if not len(poses):
         raise InputError("There are no poses to score.")
     with Evaluations(prior=GIVEN, place=place, **scenery) as evaluations:
+        if not evaluations.scene.gripper.synergies and (poses.synergies != NO_SYNERGY).any():
+            raise ImpossibleValue("synergies", int(poses.synergies.max()), "-1, for the hand has none")
         rows = evaluations.journal(poses.genomes(evaluations.scene))
     return scores(rows, trials(evaluations.spec.protocol))
 
@@ -78,18 +80,28 @@ def _poses(
     if (np.linalg.norm(turns, axis=1) < SHORTEST).any():
         raise ImpossibleValue("quaternions_xyzw", "one of length zero", "rotations")
     labels = np.full(n, NO_SYNERGY) if synergies is None else _array("synergies", synergies, (n,))
-    free = np.full((n, 0), np.nan) if spreads is None else np.asarray(spreads, dtype=np.float64)
+    if (labels != np.rint(labels)).any():
+        raise ImpossibleValue("synergies", float(labels[labels != np.rint(labels)][0]), "integers")
+    free = np.full((n, 0), np.nan) if spreads is None else _numbers("spreads", spreads, f"({n}, k)")
     if free.ndim != 2 or len(free) != n or np.isinf(free).any():
         raise ImpossibleValue("spreads", free.shape, f"numbers of shape ({n}, k)")
     return Poses(places, turns, labels.astype(np.int64), free)
 
 
 def _array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
+    """Finite numbers of a shape, in which None stands for n."""
+    expected = "({})".format(", ".join("n" if wanted is None else str(wanted) for wanted in shape))
+    array = _numbers(name, values, expected)
     fits = len(array.shape) == len(shape) and all(
         wanted in (None, came) for wanted, came in zip(shape, array.shape, strict=True)
     )
     if not fits or not np.isfinite(array).all():
-        expected = ", ".join("n" if wanted is None else str(wanted) for wanted in shape)
-        raise ImpossibleValue(name, array.shape, f"finite numbers of shape ({expected})")
+        raise ImpossibleValue(name, array.shape, f"finite numbers of shape {expected}")
     return array
+
+
+def _numbers(name: str, values: ArrayLike, shape: str) -> NDArray[np.float64]:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} must be numbers of shape {shape}; {error}.") from None

@@ -81,7 +81,8 @@ def name_of(evaluator: Make) -> str:
     InputError
         No other process can: it does not stand at the top of a module that lies in a file.
     """
-    name, module = getattr(evaluator, "__qualname__", ""), sys.modules.get(evaluator.__module__)
+    name = getattr(evaluator, "__qualname__", "")
+    module = sys.modules.get(getattr(evaluator, "__module__", None) or "")
     if module is None or not name or "<" in name:
         raise InputError(
             f"{evaluator!r} cannot be found by another process: an evaluator is a class or function at the "

@@ -8,6 +8,7 @@ from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.counts.order import best_first
 from qdgrasp_coordinator.exchange.frames import COM
 from qdgrasp_coordinator.exchange.grasps import Grasps
+from qdgrasp_protocol.errors import ImpossibleValue
 
 
 def choose(
@@ -28,12 +29,27 @@ def choose(
     -------
     chosen
         In journal order, unless `top` or `diverse` is given.
+
+    Raises
+    ------
+    ImpossibleValue
+        A number is none of the kind.
     """
+    _check_number("min_fitness", min_fitness, whole=False)
+    for name, value in (("top", top), ("diverse", diverse)):
+        if value is not None:
+            _check_number(name, value, whole=True)
     chosen = grasps[grasps.is_success & (grasps.fitness >= min_fitness)]
     if top is None and diverse is None:
         return chosen
     chosen = chosen[best_first(chosen.rows, chosen.eta)[:top]]
     return chosen if diverse is None else chosen[spread(chosen, diverse)]
+
+
+def _check_number(name: str, value: object, *, whole: bool) -> None:
+    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value < np.inf:
+        raise ImpossibleValue(name, value, f"{'an integer' if whole else 'a number'} not less than 0")
 
 
 def spread(grasps: Grasps, most: int) -> NDArray[np.int64]:

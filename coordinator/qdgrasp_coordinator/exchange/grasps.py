@@ -17,7 +17,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.counts import whole
 from qdgrasp_coordinator.counts.poses import as_given, opened
 from qdgrasp_coordinator.counts.scores import SHAKES
-from qdgrasp_coordinator.exchange.frames import COM, MESH, Frame, moved, to_matrices
+from qdgrasp_coordinator.exchange.frames import COM, MESH, Frame, frame_of, moved, to_matrices
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_protocol.outcome import Outcome
@@ -195,10 +195,14 @@ class Grasps:
         ----------
         frame
             "mesh": of the object's mesh file, in metres; "com": with the same axes at the centre of mass.
+
+        Raises
+        ------
+        UnknownName
+            There is no such frame.
         """
-        return moved(
-            self.rows["base_to_object"].astype(np.float64), self.scene.object.com_in_mesh, COM, frame
-        )
+        poses = self.rows["base_to_object"].astype(np.float64)
+        return moved(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
     def matrices(self, frame: Frame = MESH) -> Floats:
         """(n, 4, 4): the same as homogeneous matrices."""

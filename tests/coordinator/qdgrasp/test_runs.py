@@ -1,6 +1,7 @@
 """Runs as a program reads them."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 
 import qdgrasp
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import Shape
 
 GIVEN = Shape(genes=7, joints=2)
@@ -50,6 +51,19 @@ def test_the_best_and_the_well_spread_are_some_of_them(run: qdgrasp.Run) -> None
     assert len(run.grasps(top=7)) == 7
     assert (run.grasps(top=7).fitness == 2).all()
     assert set(run.grasps(min_fitness=2, diverse=5).numbers) < set(robust.numbers)
+
+
+@pytest.mark.parametrize(
+    "asked", [{"top": -5}, {"diverse": -5}, {"top": 2.5}, {"min_fitness": "a"}, {"min_fitness": float("nan")}]
+)
+def test_what_cannot_be_asked_for_is_refused(run: qdgrasp.Run, asked: dict[str, Any]) -> None:
+    with pytest.raises(ImpossibleValue, match="not less than 0"):
+        run.grasps(**asked)
+
+
+def test_a_frame_that_is_none_is_refused(run: qdgrasp.Run) -> None:
+    with pytest.raises(UnknownName, match=r"Unknown frame 'world'\. Known: com, mesh\."):
+        run.grasps().poses("world")  # type: ignore[arg-type]
 
 
 def test_blocks_are_the_rows_piece_by_piece(run: qdgrasp.Run) -> None:

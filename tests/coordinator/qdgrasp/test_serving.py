@@ -14,7 +14,7 @@ def test_an_evaluator_in_a_script_goes_by_its_file(monkeypatch: pytest.MonkeyPat
     assert name_of(evaluators.Height) == f"{evaluators.__file__}:Height"
 
 
-@pytest.mark.parametrize("evaluator", [evaluators.nested(), lambda scene: evaluators.Height(scene)])
+@pytest.mark.parametrize("evaluator", [evaluators.nested(), lambda scene: evaluators.Height(scene), 3])
 def test_an_evaluator_that_no_other_process_finds_is_refused(evaluator: object) -> None:
     with pytest.raises(InputError, match="at the top of a module"):
         name_of(evaluator)  # type: ignore[arg-type]
