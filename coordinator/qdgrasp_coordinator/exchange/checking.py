@@ -85,9 +85,8 @@ def _check_about(path: Path, about: About) -> None:
         try:
             _ = origin.asked
         except InputError as error:
-            raise Unusable(
-                path, f"the spec of run '{origin.run[:40]}' in it cannot be read ({error})"
-            ) from None
+            why = str(error).rstrip(".")
+            raise Unusable(path, f"the spec of run '{origin.run[:40]}' in it cannot be read: {why}") from None
 
 
 def _check_positive(path: Path, what: str, value: float | None) -> None:
