@@ -46,9 +46,8 @@ def centred(robot: Urdf, base: str) -> Centred | None:
     element.append(_frame(name))
     element.append(_fixed(name, base, " ".join(f"{0.0 - value:g}" for value in place)))
     change = (
-        f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', on the line on "
-        "which the "
-        f"fingers close: poses are those of '{name}'"
+        f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', "
+        f"on the line on which the fingers close: poses are those of '{name}'"
     )
     return Centred(tree(robot.path, element), name, change)
 

@@ -10,6 +10,8 @@ from qdgrasp_assets.hands import palm
 from qdgrasp_assets.hands.base import guess_base
 from qdgrasp_assets.hands.body import Body, read_body
 from qdgrasp_assets.hands.closing import Closing, find_closing
+from qdgrasp_assets.hands.fingers import fixed_limbs
+from qdgrasp_assets.hands.motors import motor
 from qdgrasp_assets.hands.overlap import Floats
 from qdgrasp_assets.hands.thumb import pinches
 from qdgrasp_assets.scene import Vector
@@ -19,12 +21,6 @@ from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 TOLD = "as told"
 ROUNDING = 1e-6
 """Limits are written with so many decimals, or more."""
-CLOSING_TIME = 100 / 240
-"""How long an evaluation closes the hand [s] (docs/protocols.md)."""
-STRONGEST = {True: 200.0, False: 2000.0}
-"""No finger has more effort: joints that turn [Nm], joints that slide [N]."""
-USUAL = {True: 20.0, False: 100.0}
-"""What joints get that have none, or too much."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +159,13 @@ def _axis(closing: Closing, told: Told) -> tuple[Floats, str]:
         return axis / np.linalg.norm(axis), TOLD
     if not closing.fingers:
         return np.array([0.0, 0.0, 1.0]), "no finger tells where the hand looks: set it"
-    return palm.approach(closing), "from the fingers' roots to the fingertips of the half closed hand"
+    way, reason = palm.way(closing)
+    if np.linalg.norm(way) < palm.SHORT:
+        raise AssetError(
+            f"Where the hand in '{closing.body.robot.path}' looks cannot be guessed, as its fingers lie "
+            "around the middle of its palm: say it with --approach-axis, such as 0,0,1."
+        )
+    return palm.snapped(way), reason
 
 
 def _palm_offset(closing: Closing, axis: Floats, told: Told) -> tuple[float, str]:
@@ -187,7 +189,8 @@ def _finger_links(closing: Closing, told: Told) -> tuple[tuple[str, ...], str]:
     links = tuple(link for finger in closing.fingers for link in finger.links)
     return (
         links,
-        f"what moves and has a shape: {len(closing.fingers)} finger{'s' * (len(closing.fingers) > 1)}",
+        f"what moves and has a shape: {len(closing.fingers)} finger{'s' * (len(closing.fingers) > 1)}"
+        + (", with what is fixed opposite" if fixed_limbs(closing.body) else ""),
     )
 
 
@@ -215,7 +218,7 @@ def _joint(closing: Closing, name: str, free: set[str]) -> tuple[JointTable, str
     if name in free:
         return JointTable(open=opened, driven=False), "a gene says where it is; the simulator holds it there"
     follower = body.followers.get(name)
-    effort, velocity, notes = _motor(body, name, abs(closed - opened))
+    effort, velocity, notes = motor(body, name, abs(closed - opened))
     if follower is not None:
         notes = (
             f"mimics {follower.leader} ({follower.multiplier:g} times it, plus {follower.offset:g}) "
@@ -227,20 +230,6 @@ def _joint(closing: Closing, name: str, free: set[str]) -> tuple[JointTable, str
     moves = closed != opened
     table = JointTable(open=opened, closed=closed if moves else None, effort=effort, velocity=velocity)
     return table, "; ".join(notes)
-
-
-def _motor(body: Body, name: str, travel: float) -> tuple[float | None, float | None, tuple[str, ...]]:
-    """Effort and velocity where the URDF's will not do, and why not."""
-    joint, effort, velocity, notes = body.joint(name), None, None, []
-    turns = joint.kind != "prismatic"
-    if not 0 < joint.effort <= STRONGEST[turns]:
-        effort = USUAL[turns]
-        notes.append(f"the URDF's effort would be {joint.effort:g} {'Nm' if turns else 'N'}")
-    if joint.velocity * CLOSING_TIME < travel or joint.velocity <= 0:
-        velocity = round(max(1.25 * travel / CLOSING_TIME, 0.1), 2)
-        unit = "rad/s" if turns else "m/s"
-        notes.append(f"{joint.velocity:g} {unit}, as in the URDF, would not close it in {CLOSING_TIME:.2f} s")
-    return effort, velocity, tuple(notes)
 
 
 def _within(body: Body, name: str, position: float) -> float:

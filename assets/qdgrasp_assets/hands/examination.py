@@ -168,9 +168,8 @@ def _hollow(hand: Urdf) -> Iterator[str]:
     if found:
         yield (
             "the simulator wraps each collision mesh in its convex hull, which fills the room before "
-            "much of the "
-            f"surface of {', '.join(found)}: `qdgrasp gripper new --mend` splits such meshes into convex "
-            "parts"
+            f"much of the surface of {', '.join(found)}: "
+            "`qdgrasp gripper new --mend` splits such meshes into convex parts"
         )
 
 

@@ -1,4 +1,7 @@
-"""The fingers of a hand: the limbs that move, with the tip of each; limbs of one linkage are one finger."""
+"""The fingers of a hand: the limbs that move, with the tip of each; limbs of one linkage are one finger.
+
+Opposite to a single limb that moves, those that are fixed to the palm are fingers too.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -20,7 +23,7 @@ class Finger:
     links: tuple[str, ...]
     """Those with collision shapes."""
     joints: tuple[str, ...]
-    """The joints that move, outward."""
+    """The joints that move, outward; of a finger that is fixed, the joint by which it is."""
     tips: tuple[tuple[str, Floats], ...]
     """Links with points (n, 3) of the tip [m], link frame."""
 
@@ -38,12 +41,25 @@ def find_fingers(body: Body, postures: Iterable[dict[str, float]]) -> tuple[Fing
     """
     placed = [body.placed(posture) for posture in postures]
     fingers: list[Finger] = []
-    for name in limbs(body.robot, body.robot.root):
+    for name in (*limbs(body.robot, body.robot.root), *fixed_limbs(body)):
         limb = _limb(body, name)
         if limb.links:
             same = [finger for finger in fingers if _are_one(finger, limb, placed)]
             fingers = [finger for finger in fingers if finger not in same] + [_joined(body, [*same, limb])]
     return tuple(fingers)
+
+
+def fixed_limbs(body: Body) -> tuple[str, ...]:
+    """The joints by which fingers are fixed to the palm: what is no way to the only limb that moves."""
+    moving = [name for name in limbs(body.robot, body.robot.root) if _limb(body, name).links]
+    if len(moving) != 1:
+        return ()
+    arriving = {joint.child: joint.parent for joint in body.robot.joints}
+    way = [body.joint(moving[0]).parent]
+    while way[-1] in arriving:
+        way.append(arriving[way[-1]])
+    beside = [joint for joint in body.robot.joints if joint.parent in way and joint.child not in way]
+    return tuple(joint.name for joint in beside if not joint.moves and _limb(body, joint.name).links)
 
 
 def _are_one(one: Finger, other: Finger, placed: Iterable[dict[str, tuple[Solid, ...]]]) -> bool:

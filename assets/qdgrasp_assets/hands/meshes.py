@@ -62,9 +62,8 @@ def _where(hand: Urdf, name: str) -> str:
     package, _, rest = name.removeprefix(PACKAGE).partition("/")
     return (
         f"is not found: a folder '{package}' with '{rest}' is looked for above the URDF, beside one of the "
-        f"folders above it, and as a Python package; put the ROS package '{package}' there, or write the "
-        "path "
-        "relative to the URDF"
+        f"folders above it, and as a Python package; put the ROS package '{package}' there, "
+        "or write the path relative to the URDF"
     )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from qdgrasp_assets.hands.body import Body
 from qdgrasp_assets.hands.closing import Closing
-from qdgrasp_assets.hands.fingers import Finger, root
+from qdgrasp_assets.hands.fingers import Finger, fixed_limbs, root
 from qdgrasp_assets.hands.overlap import Floats, ray
 
 HALF_CLOSED = (0.5, 0.75)
@@ -25,16 +25,37 @@ def grasp_centre(closing: Closing) -> Floats:
 
 
 def approach(closing: Closing) -> Floats:
-    """The direction (3,) from the fingers' roots to the tips of the half closed hand; an axis if near one.
+    """The direction (3,) in which a hand looks, as `way` has it; an axis if near one."""
+    return snapped(way(closing)[0])
 
-    Where joints lie in the middle of the fingers, so that this says nothing: from the middle of the palm.
+
+def way(closing: Closing) -> tuple[Floats, str]:
+    """How objects come to be between the fingers (3,) [m], and by what that is said.
+
+    From the fingers' roots to the tips of the half closed hand. Where this says nothing, because joints lie
+    in the middle of the fingers, or one finger is fixed: from the middle of the palm to that of the fingers.
     """
     roots = np.mean([root(closing.body, finger) for finger in closing.fingers], axis=0)
-    direction = grasp_centre(closing) - roots
-    palm = closing.body.corners(palm_links(closing.body), {})
-    if np.linalg.norm(direction) < SHORT and len(palm):
-        direction = grasp_centre(closing) - (palm.min(axis=0) + palm.max(axis=0)) / 2
-    return snapped(direction)
+    outward = grasp_centre(closing) - roots
+    palm = closing.body.corners(carriers(closing), {})
+    if not len(palm) or (np.linalg.norm(outward) >= SHORT and not fixed_limbs(closing.body)):
+        return outward, "from the fingers' roots to the fingertips of the half closed hand"
+    opened = closing.posture(0.0)
+    fingers = [_middle(closing.body.corners(finger.links, opened)) for finger in closing.fingers]
+    return np.mean(fingers, axis=0) - _middle(palm), "from the middle of the palm to that of the fingers"
+
+
+def carriers(closing: Closing) -> tuple[str, ...]:
+    """The links on which the fingers hang; where these have no shapes, the whole palm."""
+    body = closing.body
+    parents = {body.joint(finger.joints[0]).parent for finger in closing.fingers}
+    return tuple(link for link in palm_links(body) if link in parents) or palm_links(body)
+
+
+def _middle(corners: Floats) -> Floats:
+    """The middle (3,) of the box around corners (n, 3)."""
+    middle: Floats = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return middle
 
 
 def snapped(direction: Floats) -> Floats:
@@ -49,8 +70,13 @@ def snapped(direction: Floats) -> Floats:
 
 
 def palm_links(body: Body) -> tuple[str, ...]:
-    """The base link and what is fixed to it, where they have shapes."""
-    return tuple(link for link in body.parts if body.mounts[link] == body.robot.root)
+    """The base link and what is fixed to it, where they have shapes and are no fingers."""
+    fixed = [body.robot.subtree(body.joint(name).child).links for name in fixed_limbs(body)]
+    return tuple(
+        link
+        for link in body.parts
+        if body.mounts[link] == body.robot.root and not any(link in links for links in fixed)
+    )
 
 
 def palm_surface(body: Body, axis: Floats) -> tuple[float, bool]:

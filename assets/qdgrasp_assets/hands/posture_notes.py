@@ -7,7 +7,7 @@ import numpy as np
 from qdgrasp_assets.gripper import GripperFile
 from qdgrasp_assets.hands import palm
 from qdgrasp_assets.hands.body import Body
-from qdgrasp_assets.hands.draft import CLOSING_TIME
+from qdgrasp_assets.hands.motors import CLOSING_TIME
 from qdgrasp_assets.hands.postures import AWAY, BESIDE, Postures, angle, deep_pairs, is_always_deep
 
 OFF = np.radians(35.0)
@@ -53,10 +53,8 @@ def _beside(hand: Postures) -> Iterator[str]:
     if hand.closing.fingers and (aside := palm.aside(hand.closing, hand.axis)) > BESIDE:
         yield (
             f"the fingers close {1000 * aside:.0f} mm beside the line through the base link along the "
-            "approach "
-            "axis, which is where objects are: few grasps will be found, unless the base link is in the "
-            "middle "
-            "(`qdgrasp gripper new --mend` puts one there)"
+            "approach axis, which is where objects are: few grasps will be found, unless the base link is "
+            "in the middle (`qdgrasp gripper new --mend` puts one there)"
         )
 
 
@@ -72,8 +70,8 @@ def _standoff(hand: Postures) -> Iterator[str]:
     room = palm.reach(hand.closing, hand.axis) - hand.file.palm_offset
     if hand.file.standoff[1] > room + FAR:
         yield (
-            f"standoff goes to {hand.file.standoff[1]:g} m, and the fingers reach {room:.4g} m beyond the "
-            "palm"
+            f"standoff goes to {hand.file.standoff[1]:g} m, and the fingers reach {room:.4g} m "
+            "beyond the palm"
         )
 
 

@@ -81,8 +81,8 @@ def _mimicry(hand: Postures) -> Iterator[str]:
             ):
                 yield (
                     f"joints.{name} is {label} at {posture[name]:g}, and by the URDF's <mimic> it is at "
-                    f"{meant:g} "
-                    f"where {follower.leader} is at {posture[follower.leader]:g}; write {label} = {meant:g}"
+                    f"{meant:g} where {follower.leader} is at {posture[follower.leader]:g}; "
+                    f"write {label} = {meant:g}"
                 )
 
 
@@ -92,8 +92,7 @@ def _open_overlaps(hand: Postures) -> Iterator[str]:
         if not is_always_deep(hand, one, other):
             yield (
                 f"the links '{one}' and '{other}' are {1000 * deep:.0f} mm in each other in the open "
-                "posture; "
-                "correct the open positions of the joints between them, or the place of their shapes"
+                "posture; correct the open positions of the joints between them, or the place of their shapes"
             )
 
 
@@ -128,7 +127,12 @@ def _opens(hand: Postures) -> Iterator[str]:
     if not closing.fingers:
         return
     courses = [_apart(hand, share) for share in np.linspace(0, 1, 9)]
-    if min(courses) > NEARER * courses[0]:
+    if min(courses) >= NEARER * courses[0] and len(closing.fingers) == 1:
+        yield (
+            "only one finger moves, it does not close on the line of approach, and nothing is fixed opposite "
+            "to it: a hand grasps from two sides (suction is not simulated)"
+        )
+    elif min(courses) >= NEARER * courses[0]:
         yield (
             f"the fingers do not close: their tips are {1000 * courses[0]:.0f} mm apart when open and "
             f"{1000 * courses[-1]:.0f} mm when closed; swap open and closed, or correct them"

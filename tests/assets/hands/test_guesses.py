@@ -249,3 +249,34 @@ def test_fingers_whose_joints_lie_in_their_middle_are_approached_from_the_palm(j
     file = guessed(jaw_urdf).file
     assert file.approach_axis == (0.0, 0.0, 1.0)
     assert file.standoff == pytest.approx((0.0, 0.061))
+
+
+def test_a_finger_that_is_fixed_opposite_to_the_one_that_moves_is_a_finger(jaw_urdf, edit):
+    edit(jaw_urdf, '<joint name="other" type="prismatic">', '<joint name="other" type="fixed">')
+    found = guessed(jaw_urdf)
+    assert found.file.approach_axis == (0.0, 0.0, 1.0)
+    assert (found.file.palm_offset, found.file.standoff) == (0.04, (0.0, 0.061))
+    assert found.file.finger_links == ("left", "right")
+    assert (found.file.joints["slide"].open, found.file.joints["slide"].closed) == (0.0, -0.04)
+    assert "from the middle of the palm" in found.reasons["approach_axis"]
+    target = jaw_urdf.parent / "own.toml"
+    target.write_text(toml(found, target.name))
+    assert examine(target, "own").faults == ()
+
+
+def test_a_cup_that_moves_alone_is_told_that_suction_is_not_simulated(jaw_urdf, edit):
+    text = jaw_urdf.read_text().replace('xyz="0 0.045 0.041"', 'xyz="0 0 0.041"')
+    text = text.replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"')
+    jaw_urdf.write_text(text[: text.index('<joint name="other"')] + "</robot>")
+    target = jaw_urdf.parent / "own.toml"
+    target.write_text(toml(guessed(jaw_urdf), target.name))
+    assert any("suction is not simulated" in fault for fault in examine(target, "own").faults)
+
+
+def test_a_hand_that_is_in_its_palm_is_not_guessed_by_rounding(jaw_urdf, edit):
+    for side in ("0.045", "-0.045"):
+        edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0 {side} 0.02"')
+    edit(jaw_urdf, 'origin xyz="0 0 0.03"', 'origin xyz="0 0 0"')
+    with pytest.raises(AssetError, match=r"looks cannot be guessed, .* say it with --approach-axis"):
+        guessed(jaw_urdf)
+    assert guessed(jaw_urdf, approach_axis=(0.0, 0.0, 1.0)).file.approach_axis == (0.0, 0.0, 1.0)
