@@ -167,7 +167,7 @@ def inspect(
         return found
     found = _measured(found, mesh, mass)
     if not glued and (fault := apart(mesh)):
-        return msgspec.structs.replace(found, faults=(fault,))
+        return msgspec.structs.replace(found, notes=(), faults=(fault,))
     return _with_parts(found, mesh, time_limit, tell) if parts else found
 
 

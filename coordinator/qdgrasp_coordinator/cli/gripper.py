@@ -150,7 +150,9 @@ def _check_copy(toml: Path, *, force: bool) -> None:
     """Refuse to write over a mended copy that is there."""
     for path in (mended_urdf(toml), mended_meshes(toml)):
         if path.exists() and not force:
-            raise AssetError(f"'{path}' is there already; --force replaces it, -o names another file.")
+            raise AssetError(
+                f"{path} is there already; name another file with -o, or replace it with --force."
+            )
 
 
 def _whole(urdf: Path) -> Urdf:

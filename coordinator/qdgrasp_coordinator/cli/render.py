@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.lifetime import lifetime
@@ -81,8 +82,7 @@ def _is_film(out: Path) -> bool:
 def _check_free(out: Path, force: bool) -> None:
     if not out.absolute().parent.is_dir():
         raise InputError(f"There is no folder {out.parent} to write {out.name} into.")
-    if out.exists() and not force:
-        raise InputError(f"{out} exists; name another file, or replace it with --force.")
+    disk.check_file(out, force=force)
 
 
 def _size(text: str, out: Path) -> "Size":

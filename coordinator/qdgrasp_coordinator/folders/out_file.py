@@ -29,13 +29,10 @@ class OutFile:
             raise FolderError(f"'{self.path}' must end with {' or '.join(self.suffixes)}; name another file.")
         if not self.path.absolute().parent.is_dir():
             raise FolderError(f"'{self.path}' is in no folder that there is; make it, or name another file.")
-        if self.path.exists() and not self.path.is_file():
-            raise FolderError(f"'{self.path}' is no ordinary file; name another one.")
-        if self.path.exists() and not self.force:
-            raise FolderError(f"'{self.path}' is there already; --force replaces it, -o names another file.")
+        disk.check_file(self.path, force=self.force)
 
     def write(self, payload: bytes) -> None:
-        """Write the file, whole or not at all; where its name is a link, to the file that this leads to.
+        """Write the file, whole or not at all.
 
         Raises
         ------
@@ -44,7 +41,7 @@ class OutFile:
         """
         self.check()
         with disk.writing(self.path.absolute().parent):
-            disk.write(self.path.resolve(), payload)
+            disk.write(self.path, payload)
 
 
 def picture_folder(path: Path) -> Path:

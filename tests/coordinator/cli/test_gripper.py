@@ -71,7 +71,7 @@ def test_a_flag_that_means_nothing_is_refused(gripper, flag, value, sentence):
 def test_new_writes_over_nothing_unless_it_is_told_to(gripper):
     Path("jaw.toml").write_text("mine")
     done = gripper("new", "jaw.urdf")
-    assert "'jaw.toml' is there already; --force replaces it" in str(done.exception)
+    assert "jaw.toml is there already; name another file, or replace it with --force" in str(done.exception)
     assert Path("jaw.toml").read_text() == "mine"
     assert gripper("new", "jaw.urdf", "--force").exit_code == 0
 

@@ -35,7 +35,7 @@ def test_a_part_of_a_picture_is_refused(path: Path, tmp_path: Path) -> None:
 def test_a_file_that_is_there_stays(path: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.png"
     out.write_text("kept")
-    assert refused(path, out) == f"{out} exists; name another file, or replace it with --force."
+    assert refused(path, out) == f"{out} is there already; name another file, or replace it with --force."
     assert out.read_text() == "kept"
 
 
