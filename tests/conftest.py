@@ -16,8 +16,8 @@ settings.load_profile("shared")
 os.environ.setdefault("QDGRASP_NICE", "0")  # simulators that tests wait for stand back behind nobody
 
 TESTS = Path(__file__).resolve().parent
-STARTERS = tuple(TESTS / name for name in ("system", "chaos", "docs", "examples"))
-"""Where tests start processes of their own."""
+STARTERS = {"system": "jobs", "chaos": "jobs", "examples": "jobs", "docs": "pages"}
+"""Where tests start processes of their own, and in which row: two of one row never run at a time."""
 SIBLING = TESTS.parents[1] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
 
@@ -32,11 +32,11 @@ def _speaks_as_before() -> Iterator[None]:
 
 
 class ByModule(LoadScopeScheduling):
-    """Where several processes test (`pytest -n`): a module stays in one, and so do all that start others."""
+    """Where several processes test (`pytest -n`): a module stays in one, and so does a row of `STARTERS`."""
 
     def _split_scope(self, nodeid: str) -> str:
         module = nodeid.partition("::")[0]
-        return "starters" if starts_processes(TESTS.parent / module) else module
+        return row(TESTS.parent / module) or module
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -46,11 +46,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByModule:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What starts processes of its own takes longest, and comes first."""
-    items.sort(key=lambda item: not starts_processes(item.path))
+    items.sort(key=lambda item: row(item.path) == "")
 
 
-def starts_processes(module: Path) -> bool:
-    return any(folder in module.parents for folder in STARTERS)
+def row(module: Path) -> str:
+    """The row of a module that starts processes; empty: it starts none."""
+    return STARTERS.get(module.relative_to(TESTS).parts[0], "")
 
 
 @pytest.fixture(scope="session")

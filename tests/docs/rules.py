@@ -61,6 +61,7 @@ DEFAULTS: tuple[tuple[str, str, str], ...] = (
     (r"qdgrasp (run|optimise) (?!.*(--evaluations|spec\.toml))", "--evaluations", "60"),
     (r"qdgrasp (run|resume|campaign|rerank|evaluate|verify) (?!.*(--workers|--list))", "--workers", "1"),
     (r"qdgrasp run (?=.*--workers 0)(?!.*--listen)", "--listen", "{tcp}"),
+    (r"qdgrasp (run|resume|campaign|rerank) (?!.*--list)", "--listen", "{own}"),
     (r"qdgrasp (jobs|pause|continue|drain|cancel)\b(?!.*--connect)", "--connect", "{tcp}"),
     (r"qdgrasp-(monitor|worker)\b(?!.*--connect)", "--connect", "{tcp}"),
     (r"qdgrasp view (?!.*--no-open)", "--no-open", ""),

@@ -83,6 +83,7 @@ class Story:
         tcp = own_endpoint()
         self.places = {
             "tcp": tcp,
+            "own": own_endpoint(),
             "tls": own_endpoint().replace("tcp/", "tls/"),
             "other": own_endpoint().replace("tcp/", "tls/"),
             "lab": "lab-7",
