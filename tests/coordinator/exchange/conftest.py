@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.coordinator.exchange import foreign
 from tests.coordinator.exchange.evaluated import evaluated
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Jaw, Scene
+from qdgrasp_coordinator.exchange import importing
+from qdgrasp_coordinator.exchange.importing import Imported
+from qdgrasp_coordinator.exchange.things import Thing, hand_of
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
@@ -74,3 +78,10 @@ def evaluated_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
     """Poses of a hand on a cube, evaluated."""
     path = tmp_path_factory.mktemp(request.param) / "run"
     return evaluated(path, request.param, "rubiks_cube", 120, HANDS[request.param])
+
+
+@pytest.fixture(scope="module")
+def panda() -> Callable[..., Imported]:
+    """Reads a file for the Panda hand, on an object whose centre of mass is at `foreign.COM`."""
+    hand = hand_of("panda")
+    return lambda path, **settings: importing.read_grasps(path, hand, Thing(foreign.COM, 1.0), **settings)

@@ -1,0 +1,78 @@
+"""`qdgrasp import`: poses for `qdgrasp evaluate`, and nothing replaced unasked."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from tests.coordinator.exchange.foreign import ISAAC, POSITION, acronym, matrix
+from typer.testing import CliRunner, Result
+
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.counts.poses import read_poses
+from qdgrasp_coordinator.exchange.things import thing_of
+from qdgrasp_protocol.errors import InputError
+
+
+def command(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["import", *map(str, arguments)])
+
+
+def test_the_command_writes_poses_for_evaluate_and_says_how_to_score_them(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    out = tmp_path / "poses.npz"
+    done = command(tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", out)
+    assert done.exit_code == 0, done.exception
+    scores = tmp_path / "poses-scores.npz"
+    assert done.stdout.splitlines() == [
+        f"1 poses written to {out}; this scores them:",
+        f"  qdgrasp evaluate --gripper panda --object mug --poses {out} --out {scores}",
+    ]
+    np.testing.assert_allclose(read_poses(out).positions, [POSITION - thing_of("mug").com_in_mesh], atol=1e-7)
+
+
+def test_what_a_file_says_of_a_mesh_is_in_the_command_that_scores_it(tmp_path: Path) -> None:
+    trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "box.stl")
+    acronym(tmp_path / "f.h5", [matrix()], object__mass=0.25, object__friction=1.0)
+    asked = ("--gripper", "panda", "--object", tmp_path / "box.stl", "-o", tmp_path / "p.npz")
+    assert "--mass 0.25 --friction 1.0 --poses" in command(tmp_path / "f.h5", *asked).stdout
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    assert "box.stl --mass KG --poses" in command(tmp_path / "f.yaml", *asked, "--force").stdout
+
+
+def test_what_is_there_is_replaced_by_force_alone(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    (tmp_path / "poses.npz").write_bytes(b"precious")
+    asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "poses.npz")
+    assert isinstance(command(*asked).exception, InputError)
+    assert (tmp_path / "poses.npz").read_bytes() == b"precious"
+    assert command(*asked, "--force").exit_code == 0
+    assert len(read_poses(tmp_path / "poses.npz")) == 1
+
+
+def test_what_is_no_ordinary_file_is_not_replaced_even_by_force(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "f.yaml")
+    for name, what in (("pipe", "a device or pipe"), ("link", "a link"), (".", "a folder")):
+        asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / name)
+        assert f"is {what}, which is not replaced" in str(command(*asked, "--force").exception)
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_of_a_large_file_it_is_said_that_it_is_being_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("qdgrasp_coordinator.cli.import_.LARGE", 100)
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    done = command(tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "p.npz")
+    assert done.stderr == f"reading {tmp_path / 'f.yaml'}, 0 MiB\n"
+
+
+def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    for gripper, object_ in (("pandaa", "mug"), ("panda", "mugg")):
+        asked = (tmp_path / "f.yaml", "--gripper", gripper, "--object", object_, "-o", tmp_path / "p.npz")
+        assert "Unknown" in str(command(*asked).exception)
