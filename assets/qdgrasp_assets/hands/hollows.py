@@ -41,15 +41,13 @@ def hollows(hand: Urdf) -> Iterator[Hollow]:
         if mesh is None or shape.get(CONCAVE) is not None:
             continue
         parts = tuple(hull(corners) for corners in corners_of(hand, link, shape) if is_solid(corners))
-        filled = Room(read_shape(hand, shape)).fit(parts).filled if parts else 0.0
+        filled = Room(read_shape(hand, shape, mesh)).fit(parts).filled if parts else 0.0
         if filled > MUCH:
             yield Hollow(link, mesh.get("filename", ""), filled)
 
 
-def read_shape(hand: Urdf, shape: ET.Element) -> Mesh:
-    """The triangles of a collision mesh in its link's frame [m]."""
-    element = shape.find("geometry/mesh")
-    assert element is not None  # noqa: S101  # asked of meshes alone
+def read_shape(hand: Urdf, shape: ET.Element, element: ET.Element) -> Mesh:
+    """The triangles of a collision shape in its link's frame [m], by its `<mesh>`."""
     mesh = read_mesh_of(hand.path, element)
     frame = origin(hand.path, shape.find("origin"))
     return Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces)

@@ -21,7 +21,7 @@ from qdgrasp_worker.serving.child import TELL_INTERVAL, main
 COMMAND = [sys.executable, "-m", "tests.worker.serving.stand_in"]
 SHAPE = Shape(GENES, joints=2)
 PLATFORM = {"simulator": "a stand-in"}
-HELD: list[bytearray] = []
+HELD: list[bytes | bytearray] = []
 
 
 def hang() -> None:
@@ -50,8 +50,9 @@ def leak() -> None:
 
 
 def take_everything() -> None:
+    """Ask for ever more, in pages that are not written: filling them would take CPU seconds."""
     while True:
-        leak()
+        HELD.append(bytes(100_000_000))
 
 
 DEEDS: list[Callable[[], object]] = [

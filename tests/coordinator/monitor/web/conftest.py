@@ -2,12 +2,14 @@
 
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from queue import Queue
+from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
+from tests import browser
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web.access import Access
@@ -17,6 +19,28 @@ from qdgrasp_coordinator.monitor.web.live_site import LiveSite
 from qdgrasp_protocol.lifetime import Stop
 
 HERE = "127.0.0.1"
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser for the tests of a module, which are skipped where there is none."""
+    with browser.launched() as launched:
+        yield launched
+
+
+@pytest.fixture
+def look(chromium: Any) -> Iterator[Callable[..., Any]]:
+    """Opens a page; whatever it complains of fails the test."""
+    visits: list[browser.Visit] = []
+
+    def opened(address: str, **looks: Any) -> Any:
+        visits.append(browser.Visit(chromium, address, **looks))
+        return visits[-1].page
+
+    yield opened
+    for visit in visits:
+        visit.context.close()
+    assert [words for visit in visits for words in visit.complaints] == []
 
 
 @pytest.fixture

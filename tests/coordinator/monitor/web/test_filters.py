@@ -34,12 +34,6 @@ def robust_scene() -> Scene:
     return replace(scene, protocol="robust", gripper=replace(scene.gripper, synergies=named))
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser.launched() as launched:
-        yield launched
-
-
 @pytest.fixture
 def records() -> HandMadeRecords:
     made = HandMadeRecords(robust_scene(), run="mug")
@@ -194,8 +188,9 @@ def test_a_hand_without_synergies_or_eta_has_no_such_filters(chromium: Any) -> N
     feed.step()
     with serving(feed, free_port(), library=Exhibits(records)) as address:
         visit = browser.Visit(chromium, f"{address}/#job=mug")
+        expect(visit.page.locator("#scene-words")).to_contain_text("cells of 1 cm")
         visit.page.locator("#scene-filters summary").click()
         expect(visit.page.get_by_label("x lowest")).to_be_visible()
-        assert not visit.page.get_by_label("Synergy").is_visible()
-        assert not visit.page.get_by_label("eta at least").is_visible()
+        expect(visit.page.get_by_label("Synergy")).to_be_hidden()
+        expect(visit.page.get_by_label("eta at least")).to_be_hidden()
         visit.context.close()

@@ -48,27 +48,6 @@ FOCUSED = """() => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser.launched() as launched:
-        yield launched
-
-
-@pytest.fixture
-def look(chromium: Any) -> Iterator[Look]:
-    """Opens a page; whatever it complains of fails the test."""
-    visits: list[browser.Visit] = []
-
-    def opened(address: str, **looks: Any) -> Page:
-        visits.append(browser.Visit(chromium, address, **looks))
-        return visits[-1].page
-
-    yield opened
-    for visit in visits:
-        visit.context.close()
-    assert [words for visit in visits for words in visit.complaints] == []
-
-
 def expect(what: Any) -> Any:
     from playwright.sync_api import expect as expected
 

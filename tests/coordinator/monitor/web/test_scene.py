@@ -64,12 +64,6 @@ CONTENT = """() => Object.fromEntries(Array.from({ length: view.cells.size }, (_
 Page = Any
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser.launched() as launched:
-        yield launched
-
-
 @pytest.fixture
 def records() -> HandMadeRecords:
     made = HandMadeRecords(made_scene(), run="mug")

@@ -25,12 +25,6 @@ Look = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser.launched() as launched:
-        yield launched
-
-
-@pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[RunFolder]:
     home = tmp_path_factory.mktemp("runs")
     return [record(home / name, made_scene(), ROWS) for name in ("bowl", "mug")]
@@ -44,19 +38,15 @@ def place(runs: list[RunFolder]) -> Iterator[str]:
 
 
 @pytest.fixture
-def look(chromium: Any) -> Iterator[Look]:
-    """Opens a page; whatever it complains of fails the test."""
-    visits: list[browser.Visit] = []
+def look(look: Look) -> Look:
+    """Opens a page, and waits until it shows grasps."""
 
     def opened(address: str, **looks: Any) -> Any:
-        visits.append(browser.Visit(chromium, address, **looks))
-        expect(visits[-1].page.locator("#scene-words")).to_contain_text("cells of 1 cm")
-        return visits[-1].page
+        page = look(address, **looks)
+        expect(page.locator("#scene-words")).to_contain_text("cells of 1 cm")
+        return page
 
-    yield opened
-    for visit in visits:
-        visit.context.close()
-    assert [words for visit in visits for words in visit.complaints] == []
+    return opened
 
 
 def test_the_first_run_is_shown_and_another_may_be_chosen(look: Look, place: str) -> None:

@@ -21,7 +21,7 @@ export class Filters {
     this.scores = element("label", { class: "sort" }, element("span", {}, "eta at least"), this.eta, this.least);
     this.synergies = element("label", { class: "sort" }, element("span", {}, "Synergy"), this.synergy);
     this.reset = element("button", { type: "button", class: "quiet" }, "Show all");
-    this.sorts = element("div", {}, this.scores, this.synergies);
+    this.sorts = element("div", { hidden: true }, this.scores, this.synergies);
     const legend = element("legend", {}, "Hand's position from the centre of mass [cm]");
     const region = element("fieldset", {}, legend, ...this.spans.map((span) => span.node));
     node.append(element("div", { class: "sieve" }, this.sorts, region, this.reset));
