@@ -66,6 +66,8 @@ def build_scene(spec: RunSpec) -> Scene:
 def find_gripper(name: str) -> Gripper:
     """The gripper of the catalog with this name, or the one whose TOML file this is.
 
+    Reference hands keep the masses that their authors left to the simulator.
+
     Raises
     ------
     UnknownName, UnknownKey, AssetError
@@ -74,7 +76,9 @@ def find_gripper(name: str) -> Gripper:
     path = gripper_path(name)
     if path.parent == GRIPPERS:
         return read_gripper(path, name, _gripper_source(name))
-    return read_gripper(path, path.stem, path.name)
+    own = read_gripper(path, path.stem, path.name)
+    own.check_masses()
+    return own
 
 
 def gripper_path(name: str) -> Path:

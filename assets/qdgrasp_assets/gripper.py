@@ -16,6 +16,7 @@ from qdgrasp_assets.carrier import CARRIERS
 from qdgrasp_assets.files import on_asset_path, searched
 from qdgrasp_assets.hands.motion import kind_fault
 from qdgrasp_assets.hands.source import read_source
+from qdgrasp_assets.hands.weight import weight_faults
 from qdgrasp_assets.scene import FreeJoint, Jaw, Joint, SceneGripper, Synergy, Vector
 from qdgrasp_assets.shapes import largest_side
 from qdgrasp_assets.urdf import Urdf, UrdfJoint, tree
@@ -106,6 +107,18 @@ class Gripper:
     file: GripperFile
     robot: Urdf
     """The whole URDF; the hand is its sub-tree from `base_link`."""
+
+    def check_masses(self) -> None:
+        """Check that the simulator takes the hand's masses as they are meant.
+
+        Raises
+        ------
+        AssetError
+            It would make some up, refuse them, or hold a link still.
+        """
+        found = weight_faults(self.robot.subtree(self.file.base_link).element)
+        if found:
+            raise AssetError(f"The URDF '{self.robot.path}' cannot be used as it is: {'; and '.join(found)}.")
 
     def on_carrier(self, protocol: str) -> SceneGripper:
         """The hand as an evaluation protocol carries it.

@@ -4,12 +4,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
-from tests.assets.hands import linkage
+from tests.assets.hands import jaw, linkage
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.gripper import read_gripper
 from qdgrasp_assets.hands.base import guess_base
 from qdgrasp_assets.hands.copies import write_copy
 from qdgrasp_assets.hands.draft import Told, draft
@@ -98,6 +100,21 @@ def test_a_hand_that_mimics_grasps(mimicking: Scene, draw: Callable[..., np.ndar
     assert grasps(mimicking, draw, 60) > 0
 
 
+@pytest.mark.parametrize(("mass", "moved"), [("0.1", 0.04), ("0", 0.0)])
+def test_a_joint_that_carries_no_mass_stands_still(tmp_path: Path, mass: str, moved: float) -> None:
+    """Why such hands are refused (hands/weight.py)."""
+    (tmp_path / "jaw.urdf").write_text(jaw.URDF.replace('mass value="0.1"', f'mass value="{mass}"'))
+    (tmp_path / "jaw.toml").write_text(jaw.TOML)
+    hand = read_gripper(tmp_path / "jaw.toml", "jaw", "jaw.toml").on_carrier("paper")
+    scene = msgspec.structs.replace(build_scene(RunSpec(gripper="panda", object="mug")), gripper=hand)
+    world = World(scene)
+    try:
+        course = np.array(world.closing([joint.opened for joint in hand.joints], NO_SYNERGY))
+    finally:
+        world.close()
+    assert np.abs(course[-1]) == pytest.approx(moved, abs=1e-3)
+
+
 @pytest.mark.parametrize("packaged", ["xarm", "pr2", "allegro"], indirect=True)
 def test_a_hand_of_a_public_package_is_guessed_and_grasps(
     packaged: tuple[Path, str], tmp_path: Path, draw: Callable[..., np.ndarray]
@@ -107,6 +124,7 @@ def test_a_hand_of_a_public_package_is_guessed_and_grasps(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # CoACD takes minutes where others compute too
 @pytest.mark.parametrize("packaged", ["xarm", "pr2", "allegro_boxes", "ability"], indirect=True)
 def test_a_hand_of_a_public_package_is_mended_and_grasps(
     packaged: tuple[Path, str], tmp_path: Path, draw: Callable[..., np.ndarray]

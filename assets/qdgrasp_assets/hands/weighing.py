@@ -7,6 +7,7 @@ import numpy as np
 
 from qdgrasp_assets.hands.overlap import Floats
 from qdgrasp_assets.hands.structure import listed
+from qdgrasp_assets.hands.weight import unweighed
 from qdgrasp_assets.urdf import Urdf
 
 DENSITY = 1000.0
@@ -23,10 +24,11 @@ Corners = Callable[[Urdf, str], tuple[Floats, ...]]
 def weigh(hand: Urdf, corners: Corners) -> Iterator[str]:
     """Give a mass and an inertia to each link of a hand that lacks them, in its element; and say so."""
     given: list[str] = []
+    wrong = unweighed(hand.element)
     for link in hand.element.findall("link"):
-        if _is_weighed(hand, link):
-            continue
         name = link.get("name", "")
+        if name not in wrong:
+            continue
         for old in link.findall("inertial"):
             link.remove(old)
         link.append(_inertial(corners(hand, name)))
@@ -36,14 +38,6 @@ def weigh(hand: Urdf, corners: Corners) -> Iterator[str]:
             f"{listed('link', [words.partition(' ')[0] for words in given])} given a mass, by the size of "
             f"the shapes at {DENSITY:g} kg/m3 ({', '.join(given)} kg)"
         )
-
-
-def _is_weighed(hand: Urdf, link: ET.Element) -> bool:
-    """Whether the simulator can take a link's mass as it is."""
-    inertial = link.find("inertial")
-    if inertial is None or inertial.find("mass") is None or inertial.find("inertia") is None:
-        return False
-    return hand.masses[link.get("name", "")][0] > 0
 
 
 def _inertial(parts: tuple[Floats, ...]) -> ET.Element:

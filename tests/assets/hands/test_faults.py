@@ -5,7 +5,10 @@ import pytest
 import trimesh
 from tests.assets.hands import jaw
 
+from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.hands.examination import examine, examine_urdf
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.spec import RunSpec
 
 BOX = '<box size="0.02 0.01 0.06"/>'
 LOOP = '<joint name="loop" type="fixed"><parent link="left"/><child link="right"/></joint></robot>'
@@ -44,8 +47,9 @@ def faults(toml):
         ('xyz="0 0 0.03"', 'xyz="0 0 nan"', "holds a number that is not finite; correct it"),
         ('<mimic joint="slide"', '<mimic multiplier="x" joint="slide"', "mimics another by what is no"),
         ('mimic joint="slide"', 'mimic joint="sled"', "the joint 'other' mimics 'sled', which is no other"),
-        ('mass value="0.1"', 'mass value="0"', "the links 'left', 'right' are of mass 0, which the"),
+        ('mass value="0.1"', 'mass value="0"', "the links 'left', 'right' are of mass 0, with all that"),
         ('mass value="0.1"', 'mass value="-1"', "are of a negative mass: give it in kg"),
+        ('mass value="0.1"', 'mass value="100 g"', "are of a mass that is no number: give it in kg"),
         ('mass value="0.5"', 'mass value="500"', "it weighs 500.2 kg, which looks like grams"),
         (f'<inertial><mass value="0.5"/>{jaw.INERTIA}</inertial>', "", "'palm' is without <inertial>, for"),
         ('<mass value="0.1"/>', "", "with an <inertial> that lacks <mass> or <inertia>, which the simulator"),
@@ -64,6 +68,32 @@ def test_what_is_wrong_with_a_urdf_is_one_sentence(jaw_toml, jaw_urdf, edit, old
     told, gripper = examine_urdf(jaw_urdf, "jaw")
     assert gripper is None
     assert any(sentence in fault for fault in told.faults)
+
+
+PAD = (
+    f'<link name="pad"><inertial><mass value="0"/>{jaw.INERTIA}</inertial></link>'
+    '<joint name="tip" type="fixed"><parent link="left"/><child link="pad"/></joint></robot>'
+)
+
+
+def test_a_frame_of_no_mass_that_is_fixed_to_a_link_with_one_is_no_fault(jaw_toml, jaw_urdf, edit):
+    edit(jaw_urdf, "</robot>", PAD)
+    assert faults(jaw_toml) == ()
+    edit(jaw_urdf, 'mass value="0.1"', 'mass value="0"')
+    (fault,) = faults(jaw_toml)
+    assert fault.startswith("the links 'left', 'right', 'pad' are of mass 0")
+
+
+@pytest.mark.parametrize("inertial", ['<mass value="0"/>' + jaw.INERTIA, '<mass value="0.1"/>', ""])
+def test_masses_that_a_check_refuses_are_refused_by_a_run_in_the_same_words(
+    jaw_toml, jaw_urdf, edit, inertial
+):
+    whole = f"<inertial>{inertial}</inertial>" if inertial else ""
+    edit(jaw_urdf, f'<inertial><mass value="0.1"/>{jaw.INERTIA}</inertial>', whole)
+    (fault,) = faults(jaw_toml)
+    with pytest.raises(AssetError) as error:
+        build_scene(RunSpec(gripper=str(jaw_toml), object="mug"))
+    assert str(error.value) == f"The URDF '{jaw_urdf}' cannot be used as it is: {fault}."
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,13 @@ def test_a_link_gets_the_mass_of_its_shapes_in_water(jaw_urdf, edit):
     assert place == pytest.approx((0, 0, 0.02))
 
 
+def test_a_frame_of_no_mass_that_is_fixed_to_a_link_with_one_stays_as_it_is(jaw_urdf, edit):
+    frame = f'<link name="tip"><inertial><mass value="0"/>{jaw.INERTIA}</inertial></link>'
+    ends = '<parent link="left"/><child link="tip"/>'
+    edit(jaw_urdf, "</robot>", f'{frame}<joint name="j" type="fixed">{ends}</joint></robot>')
+    assert mended(jaw_urdf).changes == ()
+
+
 def test_visual_meshes_that_are_missing_do_no_harm_any_more(jaw_urdf, edit):
     edit(jaw_urdf, "</link>", '<visual><geometry><mesh filename="none.dae"/></geometry></visual></link>')
     assert "3 visual shapes left out, which no evaluation needs" in mended(jaw_urdf).changes
