@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.chaos.process import ROOT, Process
+from tests.patience import PATIENCE
 from tests.system.commands import is_alive, kill, wait_for
 
 SERVER = ("http.server", ["0", "--bind", "127.0.0.1"])
@@ -45,7 +46,7 @@ def test_a_process_is_started_again_under_the_same_name_and_heard_in_one_log(tmp
     process = Process("server", "platform", [], tmp_path / "log")
     for _ in range(2):
         process.start()
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE) == 0
     first, second = process.words.splitlines()
     assert first == second == process.last_words
 

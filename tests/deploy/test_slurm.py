@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from tests.deploy.commands import DEPLOY, filled, understood
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.campaigns.campaign import read_campaign
 from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
@@ -120,7 +121,7 @@ class Desk:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,
-                timeout=120,
+                timeout=PATIENCE,
                 check=False,
             )
         return done

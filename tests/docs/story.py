@@ -58,7 +58,7 @@ class Started:
             code = self.process.wait(rules.SECONDS)
         except subprocess.TimeoutExpired:
             code = None
-        self._reader.join(5.0)
+        self._reader.join(rules.SECONDS)
         assert code in codes, f"ended with {code}: {self.line}\n{self.said[-3000:]}"
 
     def stop(self) -> None:

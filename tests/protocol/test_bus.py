@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.endpoint import HOME, PORT
@@ -25,7 +26,6 @@ from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
 from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 TEXT = "text/plain"
-SOON = 10.0  # seconds that anything may take that is to happen
 QUIET = 0.2  # seconds in which nothing is to happen
 
 Opener = Callable[[], Bus]
@@ -41,7 +41,7 @@ def opener(request: pytest.FixtureRequest) -> Iterator[Opener]:
         else:
             endpoint = own_endpoint()
             stack.enter_context(ZenohBus.router(endpoint))
-            yield lambda: stack.enter_context(ZenohBus.connect(endpoint, SOON))
+            yield lambda: stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ class Ear:
     def __call__(self, *heard: Any) -> None:
         self._queue.put(heard[0] if len(heard) == 1 else heard)
 
-    def next(self, timeout: float = SOON) -> Any:
+    def next(self, timeout: float = PATIENCE) -> Any:
         return self._queue.get(timeout=timeout)
 
     def hears_nothing(self) -> bool:
@@ -170,8 +170,11 @@ class TestBus:
 
         with far.answer("test/@asset/*", answer):
             connected(near, far)
-            assert near.ask("test/@asset/x", b"\x00\xff", parameters="i=3") == b"test/@asset/x i=3 \x00\xff"
-            assert near.ask("test/@asset/y") == b"test/@asset/y  "
+            assert (
+                near.ask("test/@asset/x", b"\x00\xff", parameters="i=3", timeout=PATIENCE)
+                == b"test/@asset/x i=3 \x00\xff"
+            )
+            assert near.ask("test/@asset/y", timeout=PATIENCE) == b"test/@asset/y  "
 
     def test_a_refusal_carries_its_reason(self, near: Bus, far: Bus) -> None:
         def refuse(query: Query) -> bytes:
@@ -180,7 +183,7 @@ class TestBus:
         with far.answer("test/q", refuse):
             connected(near, far)
             with pytest.raises(Refused, match="no such scene: größer"):
-                near.ask("test/q")
+                near.ask("test/q", timeout=PATIENCE)
 
     def test_a_handler_that_fails_is_no_refusal_and_is_logged(self, near: Bus, far: Bus) -> None:
         def fail(query: Query) -> bytes:
@@ -189,7 +192,7 @@ class TestBus:
         with far.answer("test/q", fail), capture_logs() as logs:
             connected(near, far)
             with pytest.raises(Faulty, match="ZeroDivisionError"):
-                near.ask("test/q")
+                near.ask("test/q", timeout=PATIENCE)
         assert logs[0]["key"] == "test/q"
 
     def test_a_handler_may_leave_a_query_without_a_reply(self, near: Bus, far: Bus) -> None:
@@ -199,34 +202,34 @@ class TestBus:
         with far.answer("test/q", shrug):
             connected(near, far)
             with pytest.raises(NoReply):
-                near.ask("test/q", timeout=SOON)
+                near.ask("test/q", timeout=PATIENCE)
 
     def test_asking_where_nobody_answers_gets_no_reply(self, near: Bus, far: Bus) -> None:
         with pytest.raises(NoReply, match="test/nobody"):
-            near.ask("test/nobody", timeout=SOON)
+            near.ask("test/nobody", timeout=PATIENCE)
         with far.answer("test/q", lambda query: b""):
             connected(near, far)
-            near.ask("test/q")
+            near.ask("test/q", timeout=PATIENCE)
         connected(near, far)
         with pytest.raises(NoReply):
-            near.ask("test/q", timeout=SOON)
+            near.ask("test/q", timeout=PATIENCE)
 
     def test_values_are_found_by_their_keys_and_by_patterns(self, near: Bus, far: Bus) -> None:
         values = {"test/a/stat/job": b"1", "test/a/stat/run/x": b"2", "test/a/stat/run/y": b"3"}
         with far.show("test/a/stat/**", lambda _: values), far.show("test/b/stat/**", _other_values):
             connected(near, far)
-            assert near.ask("test/a/stat/job") == b"1"
+            assert near.ask("test/a/stat/job", timeout=PATIENCE) == b"1"
             assert near.ask_all("test/a/stat/run/*") == {key: values[key] for key in list(values)[1:]}
             assert near.ask_all("test/*/stat/job") == {"test/a/stat/job": b"1", "test/b/stat/job": b"4"}
             assert near.ask_all("test/*/nothing") == {}
             with pytest.raises(NoReply):
-                near.ask("test/a/stat/nothing", timeout=SOON)
+                near.ask("test/a/stat/nothing", timeout=PATIENCE)
 
     def test_an_answer_that_comes_too_late_is_no_reply(self, near: Bus, far: Bus) -> None:
         asked_enough = threading.Event()
 
         def slow(query: Query) -> bytes:
-            asked_enough.wait(SOON)
+            asked_enough.wait(PATIENCE)
             return b"late"
 
         with far.answer("test/q", slow):
@@ -263,7 +266,7 @@ class TestBus:
         declared.__exit__(None, None, None)
         for act in (
             lambda: near.put("test/a", b"", encoding=TEXT),
-            lambda: near.ask("test/a"),
+            lambda: near.ask("test/a", timeout=PATIENCE),
             lambda: near.token("test/a"),
             lambda: near.subscribe("test/a", Ear()),
         ):
@@ -276,7 +279,7 @@ class TestZenohBus:
         endpoint, links, tokens, heard = own_endpoint(), Ear(), Ear(), Ear()
         with ExitStack() as stack:
             router = stack.enter_context(ZenohBus.router(endpoint))
-            client = stack.enter_context(ZenohBus.connect(endpoint, SOON))
+            client = stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))
             router.token("test/router")
             client.token("test/client")
             client.on_link(links)
@@ -299,7 +302,7 @@ class TestZenohBus:
     def test_a_client_that_leaves_is_no_news_of_the_routers_link(self) -> None:
         links, tokens, endpoint = Ear(), Ear(), own_endpoint()
         with ZenohBus.router(endpoint) as router, router.on_link(links), router.watch("test/*", tokens):
-            with ZenohBus.connect(endpoint, SOON) as client:
+            with ZenohBus.connect(endpoint, PATIENCE) as client:
                 client.token("test/client")
                 assert tokens.next() == ("test/client", True)
             assert tokens.next() == ("test/client", False)
@@ -325,14 +328,14 @@ class TestZenohBus:
         endpoint, found = own_endpoint(), Ear()
 
         def connect() -> None:
-            with ZenohBus.connect(endpoint, SOON):
+            with ZenohBus.connect(endpoint, PATIENCE):
                 found(True)
 
         seeker = threading.Thread(target=connect)
         seeker.start()
         with ZenohBus.router(endpoint):
             assert found.next()
-            seeker.join(SOON)
+            seeker.join(PATIENCE)
 
     def test_a_signal_ends_the_search_for_a_router(self) -> None:
         stop = Stop()
@@ -357,12 +360,13 @@ class TestZenohBus:
         endpoint = own_endpoint()
         code = (
             "from qdgrasp_protocol.zenoh_bus import ZenohBus\n"
-            f"with ZenohBus.router({endpoint!r}) as router, ZenohBus.connect({endpoint!r}, 5) as bus:\n"
+            f"here = {endpoint!r}\n"
+            f"with ZenohBus.router(here) as router, ZenohBus.connect(here, {PATIENCE}) as bus:\n"
             "    bus.token('test/a'); bus.subscribe('test/b', print); bus.answer('test/c', print)\n"
             "    router.watch('test/*', print); bus.on_link(print)\n"
             "    raise SystemExit(7)\n"
         )
-        done = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)
+        done = subprocess.run([sys.executable, "-c", code], timeout=PATIENCE, check=False)
         assert done.returncode == 7
 
 
@@ -382,13 +386,13 @@ class TestLocalBus:
         assert links.next() is False
         assert tokens.next() == ("test/far", False)
         with pytest.raises(NoReply):
-            near.ask("test/q")
+            near.ask("test/q", timeout=PATIENCE)
         far.mend()
         far.put("test/a", b"heard", encoding=TEXT)
         assert messages.next().payload == b"heard"
         assert links.next() is True
         assert tokens.next() == ("test/far", True)
-        assert near.ask("test/q") == b"here"
+        assert near.ask("test/q", timeout=PATIENCE) == b"here"
 
     def test_a_message_is_delivered_before_put_returns(self) -> None:
         bus, heard = LocalBus(LocalNetwork()), []

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from tests.patience import PATIENCE
 
 from qdgrasp_protocol.crew import BACK_OFF_LAST, Crew, Death, back_off
 from qdgrasp_protocol.lifetime import SUPERVISED
@@ -19,7 +20,7 @@ def crew(tmp_path):
 
 def test_a_death_is_told_once_with_its_exit_code(crew):
     crew.hire("sleeper", "timeit", ["-n1", "-r1", "import os; os._exit(3)"])
-    crew.process("sleeper").wait(30)
+    crew.process("sleeper").wait(PATIENCE)
     assert crew.deaths() == [Death("sleeper", 3)]
     assert crew.deaths() == []
 
@@ -27,7 +28,7 @@ def test_a_death_is_told_once_with_its_exit_code(crew):
 def test_a_killed_member_is_started_again_when_its_back_off_is_over(crew):
     crew.hire("sleeper", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
     crew.process("sleeper").kill()
-    crew.process("sleeper").wait(30)
+    crew.process("sleeper").wait(PATIENCE)
     (death,) = crew.deaths()
     assert death.words == "was killed by SIGKILL"
     pause = crew.restart_later("sleeper", now=100.0)
@@ -61,7 +62,7 @@ def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(crew):
             r"import os; os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n'); os._exit(2)",
         ],
     )
-    crew.process("talker").wait(30)
+    crew.process("talker").wait(PATIENCE)
     assert crew.last_words("talker") == "at: last"
 
 
@@ -86,7 +87,7 @@ def test_a_supervised_process_ends_when_its_starter_is_gone():
     )
     assert process.stdout.readline() == b"ready\n"
     process.stdin.close()
-    assert process.wait(30) == 128 + signal.SIGTERM
+    assert process.wait(PATIENCE) == 128 + signal.SIGTERM
     process.stdout.close()
 
 
@@ -94,5 +95,5 @@ def test_who_is_bidden_to_leave_has_the_grace_from_then_on(tmp_path):
     with Crew(tmp_path, grace=600) as crew:
         crew.hire("polite", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
         crew.bid_leave()
-        crew.process("polite").wait(30)
+        crew.process("polite").wait(PATIENCE)
     assert crew.process("polite").returncode == -signal.SIGTERM

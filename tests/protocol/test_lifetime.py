@@ -6,10 +6,10 @@ from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
+from tests.patience import PATIENCE
 
 from qdgrasp_protocol.lifetime import lifetime
 
-SOON = 20.0  # seconds that anything may take that is to happen
 OPEN = Path("/proc/self/fd")
 
 
@@ -20,11 +20,11 @@ def test_a_signal_that_wakes_another_thread_is_heard_all_the_same(number: signal
     before = signal.getsignal(number)
     with lifetime("test") as stop:
         stop.tell(lambda: inbox.put("asked to stop"))
-        other = threading.Thread(target=rest.wait, args=(SOON,))
+        other = threading.Thread(target=rest.wait, args=(PATIENCE,))
         other.start()
         late = threading.Timer(0.2, signal.pthread_kill, (other.ident, number))
         late.start()
-        assert inbox.get(timeout=SOON) == "asked to stop"
+        assert inbox.get(timeout=PATIENCE) == "asked to stop"
         rest.set()
         other.join()
         late.join()
@@ -41,5 +41,5 @@ def test_a_lifetime_leaves_nothing_open() -> None:
             pass
     for thread in threading.enumerate():
         if thread.name == "signals":
-            thread.join(SOON)
+            thread.join(PATIENCE)
     assert len(list(OPEN.iterdir())) <= known

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.folders.digest import digest
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 
-PATIENCE = 120.0  # seconds that anything may take before a test fails
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
 LONG = (*SMALL, "--evaluations", "320")
 

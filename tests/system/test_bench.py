@@ -2,6 +2,7 @@
 
 import signal
 
+from tests.patience import PATIENCE
 from tests.system.commands import is_alive, processes_of, wait_for
 
 BENCH = ("bench", "--object", "tennis_ball", "--seconds", "0.2")
@@ -41,7 +42,7 @@ def test_ctrl_c_ends_it_with_all_its_workers(qdgrasp):
     wait_for(lambda: len(processes_of(process.pid)) > 0 or process.poll() is not None, "a worker")
     workers = processes_of(process.pid).values()
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (130, ""), err
     assert not any(is_alive(pid) for pid in workers)
 

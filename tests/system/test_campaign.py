@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
+from tests.patience import PATIENCE
 from tests.system.commands import Commands, is_alive, kill, processes_of, rows_recorded, wait_for
 from tests.system.test_bad_input import sentence
 
@@ -263,7 +264,7 @@ def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):
     process = start(qdgrasp, 60)
     started = list(processes_of(process.pid).values())
     os.kill(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert "`qdgrasp campaign out` goes on" in err
     assert not any(map(is_alive, started))
@@ -275,7 +276,7 @@ def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):
 def test_a_killed_coordinator_ends_the_campaign_early_and_it_goes_on(qdgrasp, done, rows):
     process = start(qdgrasp, rows)
     kill(pid_of(process, "coordinator"))
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert "was killed by SIGKILL" in err
     assert "`qdgrasp campaign out` goes on" in err
@@ -289,7 +290,7 @@ def test_a_killed_recorder_is_started_again_and_no_run_loses_anything(qdgrasp, d
         wait_for(lambda rows=rows: recorded(qdgrasp) >= rows, f"{rows} rows")
         wait_for(lambda: any("recorder" in name for name in processes_of(process.pid)), "a recorder")
         kill(pid_of(process, "recorder"))
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert digests(qdgrasp) == digests(done)
 
@@ -318,11 +319,11 @@ def test_a_worker_started_by_hand_helps(qdgrasp, done):
     wait_for(endpoint.is_file, "the router")
     options = ("--connect", endpoint.read_text().strip(), "--job", "out")
     worker = qdgrasp.start(*options, module="qdgrasp_worker.cli")
-    out, err = ended.communicate(timeout=120)
+    out, err = ended.communicate(timeout=PATIENCE)
     assert ended.returncode == 0, err
     assert "3 of 3 runs" in out
     worker.terminate()
-    assert worker.wait(30) == 143
+    assert worker.wait(PATIENCE) == 143
     assert digests(qdgrasp) == digests(done)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from prometheus_client.parser import text_string_to_metric_families
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 from tests.system.commands import SMALL, Commands, rows_recorded, wait_for
 from tests.system.test_faults import pids
 
@@ -43,7 +44,7 @@ class Watched:
         self._address = _address(self.page)
 
     def fetch(self, path: str) -> str:
-        with urllib.request.urlopen(f"{self._address}{path}", timeout=10) as answer:  # noqa: S310 - our own
+        with urllib.request.urlopen(f"{self._address}{path}", timeout=PATIENCE) as answer:  # noqa: S310 - our own
             return answer.read().decode()
 
     def look(self) -> Counts:
@@ -133,7 +134,7 @@ def test_at_the_end_everybody_says_the_same(qdgrasp):
     with watched.recorder_held():
         wait_for(lambda: watched.told().get("evaluations") == EVALUATIONS, "the last evaluation")
         looked, text = watched.look(), watched.once()
-    out, err = watched.run.communicate(timeout=120)
+    out, err = watched.run.communicate(timeout=PATIENCE)
     assert watched.run.returncode == 0, err
     wait_for(lambda: watched.state() == "ended", "the end")
     wait_for(lambda: watched.streamed() == watched.told(), "the last line")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 from tests.system.commands import LONG, Commands, is_alive, kill, processes_of, rows_recorded, wait_for
 
 from qdgrasp_coordinator.folders.job_folder import JobFolder
@@ -32,7 +33,7 @@ def test_killed_workers_are_replaced_and_change_nothing(qdgrasp, long_digest):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         wait_for(lambda: bool(pids(process, "worker")), "a worker")
         kill(pids(process, "worker")[0])
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert "was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
@@ -41,7 +42,7 @@ def test_killed_workers_are_replaced_and_change_nothing(qdgrasp, long_digest):
 def test_a_killed_recorder_is_started_again_and_nothing_is_lost(qdgrasp, long_digest):
     process, _ = start(qdgrasp, 30)
     kill(pids(process, "recorder")[0])
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert "recorder was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
@@ -52,7 +53,7 @@ def test_a_killed_head_is_started_again_and_goes_on_from_its_journal(qdgrasp, lo
     process, _ = start(qdgrasp, 60)
     for role in roles:
         kill(pids(process, role)[0])
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert "coordinator was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
@@ -75,7 +76,7 @@ def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, num
     process, _ = start(qdgrasp, 20)
     started = list(processes_of(process.pid).values())
     os.kill(process.pid, number)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == code
     assert "qdgrasp resume" in err
     assert not any(map(is_alive, started))
@@ -87,7 +88,7 @@ def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, num
 def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, long_digest):
     command = ("run", *LONG, "--workers", 2, "--out", "run", "--disk-wait", 2)
     process = qdgrasp.start(*command, file_size=130_000)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2, err
     assert "paused: " in err
     assert "has had no room for 2 s" in err
@@ -128,11 +129,11 @@ def test_a_run_that_was_killed_before_its_journal_began_is_gone_on_with(qdgrasp,
 def test_a_run_is_not_lost_to_a_disk_that_is_full_when_it_is_resumed(qdgrasp, long_digest):
     process, folder = start(qdgrasp, 20)
     os.kill(process.pid, signal.SIGTERM)
-    process.communicate(timeout=30)
+    process.communicate(timeout=PATIENCE)
     before = rows_recorded(folder)
     for limit in (20_000, 50_000):  # without room to look at the journal, and to write in it
         full = qdgrasp.start("resume", "run", "--workers", 1, "--disk-wait", 1, file_size=limit)
-        _, err = full.communicate(timeout=120)
+        _, err = full.communicate(timeout=PATIENCE)
         assert full.returncode == 2, err
         assert "no room" in err
         assert rows_recorded(folder) >= before
@@ -159,15 +160,15 @@ def test_of_two_coordinators_and_two_recorders_of_a_job_one_of_each_goes_on(qdgr
         qdgrasp.start(*place, module="qdgrasp_worker.cli")
         wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20, "rows")
         other = qdgrasp.start(*place, "--out", "run", module="qdgrasp_coordinator.cli.recorder")
-        assert "is in use by process" in other.communicate(timeout=60)[1]
+        assert "is in use by process" in other.communicate(timeout=PATIENCE)[1]
         assert other.returncode == 2
         os.kill(old.pid, signal.SIGSTOP)
         new = qdgrasp.start("mugs.toml", *place, module="qdgrasp_coordinator.cli.coordinator")
         wait_for(lambda: JobFolder(qdgrasp.home / "run").epoch == 2, "another turn")
         os.kill(old.pid, signal.SIGCONT)
-        assert "Another coordinator of job 'mugs' took over (epoch 2)" in old.communicate(timeout=60)[1]
+        assert "Another coordinator of job 'mugs' took over (epoch 2)" in old.communicate(timeout=PATIENCE)[1]
         assert old.returncode == 3
-        _, err = new.communicate(timeout=120)
+        _, err = new.communicate(timeout=PATIENCE)
         assert new.returncode == 0, err
         qdgrasp.end_all()
     assert qdgrasp.digest("run") == long_digest

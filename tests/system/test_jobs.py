@@ -1,6 +1,7 @@
 """What is seen of a job, and done to it, while it goes on."""
 
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 from tests.system.commands import LONG, SMALL, Commands, kill, rows_recorded, says, wait_for
 from tests.system.test_bad_input import sentence
 from tests.system.test_faults import pids
@@ -29,7 +30,7 @@ class Running:
         return job
 
     def ends(self) -> tuple[int, str]:
-        _, err = self.process.communicate(timeout=120)
+        _, err = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, err
 
 
@@ -71,7 +72,7 @@ def test_a_coordinator_that_is_cancelled_ends_as_it_was_asked_to(qdgrasp):
     process = qdgrasp.start("mugs.toml", "--listen", endpoint, module="qdgrasp_coordinator.cli.coordinator")
     says(process, "listening")
     wait_for(lambda: qdgrasp("cancel", "mugs", "--connect", endpoint).code == 0, "somebody to cancel it")
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert err.endswith("qdgrasp-coordinator: Job 'mugs' was cancelled.\n")
 

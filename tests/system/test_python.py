@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.patience import PATIENCE
 from tests.system.commands import Commands
 
 import qdgrasp
@@ -16,7 +17,6 @@ from qdgrasp_worker.evaluate import Evaluator
 
 SCENE = {"gripper": "panda", "object": "tennis_ball"}
 ONE, TWO = qdgrasp.Place(workers=1), qdgrasp.Place(workers=2, batch_size=7)
-PATIENCE = 120.0
 
 
 @pytest.fixture

@@ -17,7 +17,6 @@ from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-SOON = 20.0  # seconds that anything may take that is to happen
 STOPS = 2.0  # seconds in which a router ends
 KEYS = Keys("mugs")
 
@@ -66,7 +65,7 @@ def test_a_router_stops_cleanly_and_soon_also_with_clients(
     endpoint = encrypted_endpoint() if encrypted else own_endpoint()
     process = routers.start(endpoint)
     shown = Credentials.find(folder, Role.WORKER) if encrypted else None
-    with ZenohBus.connect(endpoint, SOON, credentials=shown) as client:
+    with ZenohBus.connect(endpoint, PATIENCE, credentials=shown) as client:
         client.token(KEYS.worker_token("w"))
         began = time.monotonic()
         process.send_signal(number)
@@ -113,24 +112,24 @@ def test_two_routers_relay_and_one_takes_over_from_the_other(routers: Routers, f
 
         def session(role: Role, *endpoints: str) -> ZenohBus:
             shown = Credentials.find(folder, role)
-            return stack.enter_context(ZenohBus.connect(",".join(endpoints), SOON, credentials=shown))
+            return stack.enter_context(ZenohBus.connect(",".join(endpoints), PATIENCE, credentials=shown))
 
         coordinator = session(Role.COORDINATOR, second, first)
         worker = session(Role.WORKER, first, second)
         stack.enter_context(coordinator.subscribe(KEYS.result(), results.put))
         stack.enter_context(coordinator.watch(KEYS.worker_token(), lambda *seen_: seen.put(seen_)))
         stack.enter_context(worker.token(KEYS.worker_token("w")))
-        assert seen.get(timeout=SOON) == (KEYS.worker_token("w"), True)
+        assert seen.get(timeout=PATIENCE) == (KEYS.worker_token("w"), True)
         arrives(worker, results)
         process.kill()
-        assert seen.get(timeout=SOON) == (KEYS.worker_token("w"), False)
-        assert seen.get(timeout=SOON) == (KEYS.worker_token("w"), True)
+        assert seen.get(timeout=PATIENCE) == (KEYS.worker_token("w"), False)
+        assert seen.get(timeout=PATIENCE) == (KEYS.worker_token("w"), True)
         arrives(worker, results)
 
 
 def arrives(worker: ZenohBus, results: SimpleQueue[Any]) -> None:
     """A result arrives; put while a link is down it is lost, so it is put until one does."""
-    deadline = time.monotonic() + SOON
+    deadline = time.monotonic() + PATIENCE
     while results.empty():
         assert time.monotonic() < deadline
         worker.put(KEYS.result("w"), b"result", encoding="text/plain")

@@ -191,7 +191,7 @@ def stopped(qdgrasp: Commands, begin: Beginning, number: int) -> float:
     started = list(processes_of(process.pid).values())
     asked = time.monotonic()
     process.send_signal(number)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=PATIENCE)
     took = time.monotonic() - asked
     assert process.returncode == 128 + number, err
     assert "Traceback" not in err

@@ -20,7 +20,6 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 KEYS = Keys("run")
 CHANGED = 60  # messages of each kind, besides the corpus
-SOON = 20.0  # seconds that anything may take that is to happen
 GROWTH = 64 << 20  # bytes
 ENCODINGS = {kind.__name__.lower(): codec.encoding(kind) for kind in KINDS}
 
@@ -115,7 +114,7 @@ def test_a_stranger_changes_nothing_and_takes_nothing_down(
     running = qdgrasp.start(
         "run", *SMALL, "--evaluations", 200, "--workers", 1, "--listen", endpoint, "--out", "run"
     )
-    with ZenohBus.connect(endpoint, SOON) as bus:
+    with ZenohBus.connect(endpoint, PATIENCE) as bus:
         with bus.watch(KEYS.worker_token(), lambda key, _alive: seen.put(last_chunk(key))):
             stranger = Stranger(bus, seen.get(timeout=PATIENCE))
         before = processes_of(running.pid)

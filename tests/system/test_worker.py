@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tests.patience import PATIENCE
 from tests.system.commands import LONG, Commands, is_alive, kill, processes_of, rows_recorded, wait_for
 
 ROUTER = """
@@ -57,7 +58,7 @@ def stop(worker: subprocess.Popen[str], number: int) -> None:
     """Stop a worker: it ends by itself, without a trace, and so does its simulator."""
     started = list(processes_of(worker.pid).values())
     os.kill(worker.pid, number)
-    _, err = worker.communicate(timeout=30)
+    _, err = worker.communicate(timeout=PATIENCE)
     assert worker.returncode == 128 + number
     assert "Traceback" not in err
     assert not any(map(is_alive, started))
@@ -132,7 +133,7 @@ def test_workers_of_one_command_carry_a_job_out_whatever_is_killed(qdgrasp, job,
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         wait_for(lambda: len(workers()) == 2 and victims(), "somebody to kill")  # noqa: B023
         kill(victims()[0])
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert qdgrasp.digest("run") == long_digest
     stop(team, signal.SIGTERM)
@@ -145,7 +146,7 @@ def test_simulators_that_end_now_and_then_change_nothing(qdgrasp, job, long_dige
     for rows in (1, 100, 200):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         os.kill(simulator(worker), signal.SIGSEGV)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert qdgrasp.digest("run") == long_digest
     assert qdgrasp.info("run")["errors"] == 0
@@ -154,7 +155,7 @@ def test_simulators_that_end_now_and_then_change_nothing(qdgrasp, job, long_dige
 
 def test_workers_that_cannot_be_are_not_started_again_and_again(qdgrasp, endpoint):
     done = qdgrasp.start("--connect", endpoint, "--workers", 2, "--wait", 0, module="qdgrasp_worker.cli")
-    _, err = done.communicate(timeout=60)
+    _, err = done.communicate(timeout=PATIENCE)
     assert done.returncode == 2
     assert "Nothing answers at" in err
     assert "Traceback" not in err

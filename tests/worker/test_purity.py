@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tests.patience import PATIENCE
 from tests.worker.aiming import CANDIDATES, LOOSENESS, WEIGHTS, encoded, facing
 
 from qdgrasp_assets.genes import layout
@@ -166,5 +167,5 @@ def test_a_world_of_its_own_for_each_genome_gives_the_same_bytes(evaluate, genom
 def test_another_process_gives_the_same_bytes(case, scene, genomes, rows, tmp_path):
     np.save(tmp_path / "genomes.npy", genomes)
     (tmp_path / "scene").write_bytes(pack_scene(scene).payload)
-    subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path), case[0]], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path), case[0]], check=True, timeout=PATIENCE)
     assert results(np.load(Path(tmp_path, "rows.npy"))) == results(rows)

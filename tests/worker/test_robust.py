@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.patience import PATIENCE
 
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_protocol.outcome import Outcome
@@ -145,7 +146,7 @@ def test_another_process_finds_the_same(scene, mixed, rows, tmp_path):
     np.save(tmp_path / "genomes.npy", mixed[0])
     np.save(tmp_path / "trials.npy", mixed[1].astype(np.uint16))
     (tmp_path / "scene").write_bytes(pack_scene(scene).payload)
-    subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path)], check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path)], check=True, timeout=PATIENCE)
     assert results(np.load(Path(tmp_path, "rows.npy"))) == results(rows)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import ks_2samp, kstest
+from tests.patience import PATIENCE
 
 from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_protocol.trials import TRIALS, trials
@@ -141,7 +142,9 @@ def test_poses_are_rounded_to_float32_as_decoding_rounds_them(drawn):
 
 
 def test_another_process_draws_the_same():
-    found = subprocess.run([sys.executable, "-c", ELSEWHERE], check=True, capture_output=True, timeout=60)
+    found = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE], check=True, capture_output=True, timeout=PATIENCE
+    )
     here = json.dumps([asdict(ROBUST.trial(POSE, number)) for number in range(101)])
     assert json.loads(found.stdout) == json.loads(here)
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
+from tests.patience import PATIENCE
 from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli.main import app
@@ -62,7 +63,7 @@ def test_the_address_is_printed_and_opened_unless_somebody_says_no(
     def serve(*given: Any) -> None:
         given[-1](address)
         if is_opened:
-            seen.put(seen.get(timeout=30))  # until the browser has heard of it
+            seen.put(seen.get(timeout=PATIENCE))  # until the browser has heard of it
 
     monkeypatch.setattr("qdgrasp_coordinator.monitor.web.app.serve", serve)
     monkeypatch.setattr("webbrowser.open", seen.put)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.counts.cells import cells
 from qdgrasp_coordinator.counts.stretch import Stretch
@@ -201,7 +202,7 @@ def test_rows_are_there_after_the_writer_was_killed(tmp_path: Path) -> None:
         "writer.append(tests.Stretch(0, tests.make_rows(50)), 1, 0.0)\n"
         "os.kill(os.getpid(), 9)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE)
     assert done.returncode == -signal.SIGKILL
     with Journal.open(tmp_path) as journal:
         assert journal.rows(0, 100).tobytes() == make_rows(50).tobytes()

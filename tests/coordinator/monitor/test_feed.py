@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 import pytest
 from tests.coordinator.monitor.shown import curve, figures, run, values
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.counts.figures import to_json
 from qdgrasp_coordinator.monitor.feed import NEWS, Feed
@@ -16,7 +17,6 @@ from qdgrasp_protocol.keys import Keys, matches
 from qdgrasp_protocol.local_bus import LocalNetwork
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-SOON = 10.0  # seconds that anything may take that is to happen
 MUGS = Keys("mugs")
 
 
@@ -50,7 +50,7 @@ def until(feed: Feed, holds: Callable[[list[JobView]], bool]) -> list[JobView]:
     for _ in range(200):
         if holds(found := feed.views()):
             return found
-        feed.wait(SOON / 200)
+        feed.wait(PATIENCE / 200)
     raise AssertionError(f"never so: {feed.views()}")
 
 
@@ -101,7 +101,7 @@ def test_a_coordinator_that_goes_and_one_that_comes_are_seen() -> None:
         until(feed, lambda views: views[0].state == "gone")
         with coordinator(bus, epoch=3):
             (view,) = until(feed, lambda views: views[0].meta.epoch == 3 and views[0].state == "running")
-            assert view.silent < SOON
+            assert view.silent < PATIENCE
 
 
 def test_a_feed_survives_that_it_is_cut_off() -> None:
@@ -138,7 +138,7 @@ def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts() -> None:
 
         with feed._news:  # a reader that does not get on
             threading.Thread(target=put).start()
-            assert done.wait(SOON)
+            assert done.wait(PATIENCE)
 
 
 def test_waiting_ends_with_news_and_without_them() -> None:
@@ -147,7 +147,7 @@ def test_waiting_ends_with_news_and_without_them() -> None:
         while feed.wait(0.5):  # its first questions, which nobody answers
             pass
         threading.Timer(0.1, say, (bus, MUGS.stat("job"), figures())).start()
-        assert feed.wait(SOON)
+        assert feed.wait(PATIENCE)
 
 
 @pytest.mark.parametrize("restarts", [2])
@@ -155,8 +155,8 @@ def test_a_feed_survives_restarts_of_the_router(restarts: int) -> None:
     endpoint = own_endpoint()
     with ExitStack() as stack:
         router = stack.enter_context(ZenohBus.router(endpoint))
-        far = stack.enter_context(ZenohBus.connect(endpoint, SOON))
-        feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, SOON))))
+        far = stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))
+        feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
         stack.enter_context(coordinator(far))
         until(feed, is_whole)
         for turn in range(restarts):

@@ -15,6 +15,7 @@ from tests.coordinator.recording.recorded import JOB
 from tests.coordinator.runs.plans import Plan
 from tests.coordinator.serving.served import Job, Pretender, until
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_protocol import session
@@ -44,7 +45,7 @@ class Routed:
 
     def session(self) -> Bus:
         if self._is_there:
-            return ZenohBus.connect(self.endpoint, 10.0)
+            return ZenohBus.connect(self.endpoint, PATIENCE)
         self._is_there = True
         return ZenohBus.router(self.endpoint)
 
@@ -52,7 +53,7 @@ class Routed:
 def monitor(pipe: Connection, endpoint: str) -> None:
     """Watch, and ask all the time; say at the end how often the link was lost, and what came of the flood."""
     lost, heard, is_over = [], [], threading.Event()
-    with PATIENT, ZenohBus.connect(endpoint, 10.0) as bus, ExitStack() as stack:
+    with PATIENT, ZenohBus.connect(endpoint, PATIENCE) as bus, ExitStack() as stack:
         bus.on_link(lambda up: None if up else lost.append(up))
         bus.subscribe(FLOOD, lambda _: heard.append(1))
         bus.subscribe(LAST, lambda _: is_over.set())
@@ -76,9 +77,9 @@ def ask(bus: Bus, is_over: threading.Event) -> None:
 
 def asker(pipe: Connection, endpoint: str) -> None:
     """Ask for more than lies in any buffer."""
-    with PATIENT, ZenohBus.connect(endpoint, 10.0) as bus:
+    with PATIENT, ZenohBus.connect(endpoint, PATIENCE) as bus:
         pipe.send("there")
-        bus.ask_all(HEAVY, timeout=60.0)
+        bus.ask_all(HEAVY, timeout=PATIENCE)
 
 
 @contextmanager

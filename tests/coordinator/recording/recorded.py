@@ -11,6 +11,7 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 from msgspec import structs
+from tests.patience import PATIENCE
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.counts.stretch import Stretch, from_message, to_message
@@ -31,7 +32,6 @@ SPEC = RunSpec(gripper="panda", object="mug", evaluations=1000)
 SCENE = b"a scene" * 200_000
 BUNDLE = Bundle(SCENE, hashlib.sha256(SCENE).hexdigest())
 JOB = "mugs"
-SOON = 20.0  # seconds that anything may take that is to happen
 
 
 def make_rows(n: int) -> Rows:
@@ -85,11 +85,11 @@ class Coordinator:
 
     def meet(self) -> None:
         """Wait until a recorder is there."""
-        assert self._recorder.wait(SOON), "no recorder came"
+        assert self._recorder.wait(PATIENCE), "no recorder came"
 
     def ask(self, key: str, payload: bytes) -> bytes:
         """Ask the recorder; one that is killed may still seem to be there for a moment."""
-        deadline = time.monotonic() + SOON
+        deadline = time.monotonic() + PATIENCE
         while True:
             self.meet()
             try:
@@ -113,7 +113,7 @@ class Coordinator:
 
     def hears(self, condition: Callable[[Recorded], bool]) -> Recorded:
         """The next report of which the condition holds."""
-        deadline = time.monotonic() + SOON
+        deadline = time.monotonic() + PATIENCE
         while True:
             try:
                 report = self._reports.get(timeout=max(0.0, deadline - time.monotonic()))
@@ -145,7 +145,7 @@ class Running:
             self.error = error
 
     def ends(self) -> None:
-        self._thread.join(SOON)
+        self._thread.join(PATIENCE)
         assert not self._thread.is_alive()
 
 

@@ -8,6 +8,7 @@ from tests.coordinator.recording.recorded import recording
 from tests.coordinator.runs.plans import Plan, reference
 from tests.coordinator.serving.served import Job, Pretender, until
 from tests.coordinator.serving.test_orders import shown, tell
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
@@ -60,7 +61,7 @@ def test_only_the_run_whose_records_are_fewer_is_gone_on_with_from_what_is_left(
         copy.rename(path / "runs" / "fallen")
         with recording(job.network, path), bob.at_work():
             tell(bus, "continue")
-            service.join(60)
+            service.join(PATIENCE)
             assert not service.is_alive()
     assert job.error is None
     assert journals(path) == {name: reference(plan) for name, plan in PLANS.items()}

@@ -8,7 +8,6 @@ from tests.coordinator.recording.recorded import (
     JOB,
     SCENE,
     SHAPE,
-    SOON,
     SPEC,
     Coordinator,
     anonymous,
@@ -16,6 +15,7 @@ from tests.coordinator.recording.recorded import (
     recording,
 )
 from tests.coordinator.serving.served import until
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.counts.stretch import Stretch, to_message
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -98,7 +98,7 @@ class TestOpening:
     def test_a_scene_that_was_not_shown_yet_is_fetched_with_the_first_rows_of_a_run_that_may_be_short(
         self, network: LocalNetwork, coordinator: Coordinator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("qdgrasp_coordinator.recording.recorder.FETCH_INTERVAL", 100 * SOON)
+        monkeypatch.setattr("qdgrasp_coordinator.recording.recorder.FETCH_INTERVAL", 100 * PATIENCE)
         with network.session() as bus, recording(network, tmp_path / "new"):
             coordinator.open()
             coordinator.hears_durable(0)  # nobody showed it when it was first asked for
@@ -113,7 +113,7 @@ class TestOpening:
 
         def slow(*question: object) -> bytes:
             asked.set()
-            assert may_answer.wait(2 * SOON)
+            assert may_answer.wait(2 * PATIENCE)
             return fetch(*question)  # type: ignore[arg-type]
 
         monkeypatch.setattr(chunks, "fetch", slow)
@@ -121,7 +121,7 @@ class TestOpening:
             bus.answer(Keys(JOB).asset(), lambda query: chunks.answer(query, SCENE, BUNDLE.digest))
             with recording(network, tmp_path / "new"):
                 coordinator.open()
-                assert asked.wait(SOON)
+                assert asked.wait(PATIENCE)
                 coordinator.send(make_rows(30), 0, 30)
                 coordinator.hears_durable(30)
             folder = RunFolder.open(tmp_path / "new")

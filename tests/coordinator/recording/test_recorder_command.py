@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import IO
 
 import pytest
-from tests.coordinator.recording.recorded import BUNDLE, JOB, SOON, SPEC, Coordinator, make_rows
+from tests.coordinator.recording.recorded import BUNDLE, JOB, SPEC, Coordinator, make_rows
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.folders.digest import digest
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -61,7 +62,7 @@ def test_a_signal_ends_it_with_its_code_and_a_kill_loses_nothing_durable(
             coordinator.send(rows, 500 * turn, 500 * turn + 500)
             coordinator.hears_durable(500 * turn + 500)
             os.kill(process.pid, number)
-            assert process.wait(SOON) == code
+            assert process.wait(PATIENCE) == code
     with folder.journal() as journal:
         assert journal.rows(0, 2000).tobytes() == rows[:1500].tobytes()
 
@@ -86,7 +87,7 @@ def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(
         for first in range(6000, 12_000, 1000):
             coordinator.send(rows, first, first + 1000)
         durable = coordinator.hears(lambda report: bool(report.trouble)).durable
-        _, said = process.communicate(timeout=SOON)
+        _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == 2
         assert f"`qdgrasp resume {folder.path}` goes on".encode() in said.splitlines()[-1]
     with folder.journal() as journal:
@@ -97,7 +98,7 @@ def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(
 
 def test_bad_input_is_one_sentence_and_exit_code_2(endpoint: str, folder: RunFolder) -> None:
     with recorder(endpoint, folder.path, "--wait", "0.2") as process:
-        _, said = process.communicate(timeout=SOON)
+        _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
     assert said.startswith(f"qdgrasp-recorder: Nothing answers at {endpoint}".encode())
 
@@ -110,16 +111,16 @@ def test_a_log_on_a_full_disk_changes_nothing(endpoint: str, router: ZenohBus, f
             coordinator.send(make_rows(10), 0, 10)
             coordinator.hears_durable(10)
             process.terminate()
-            assert process.wait(SOON) == 143
+            assert process.wait(PATIENCE) == 143
         with folder.job.lock(), recorder(endpoint, folder.path, stderr=full) as process:
-            assert process.wait(SOON) == 2
+            assert process.wait(PATIENCE) == 2
 
 
 def test_two_recorders_of_one_folder_are_one_too_many(
     endpoint: str, router: ZenohBus, folder: RunFolder
 ) -> None:
     with folder.job.lock(), recorder(endpoint, folder.path) as process:
-        _, said = process.communicate(timeout=SOON)
+        _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
     assert f"is in use by process {os.getpid()}".encode() in said
 
@@ -149,7 +150,7 @@ def test_a_kill_loses_nothing_durable_of_any_run(endpoint: str, router: ZenohBus
             for first, run in zip(durable, runs, strict=True):
                 coordinator.hears_durable(first + 500, run)
             process.kill()
-            process.wait(SOON)
+            process.wait(PATIENCE)
     for run, stop in (("a", 1500), ("b", 1000)):
         with RunFolder.open(path / "runs" / run).journal() as journal:
             assert journal.rows(0, 4096).tobytes() == rows[:stop].tobytes()

@@ -9,6 +9,7 @@ from queue import SimpleQueue
 
 import pytest
 from tests.coordinator.security.conftest import HOSTS, encrypted_endpoint
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.security import authority
 from qdgrasp_coordinator.security.folder import SecurityFolder
@@ -19,7 +20,6 @@ from qdgrasp_protocol.errors import EndpointError, SecurityError
 from qdgrasp_protocol.handshake import why_not
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-SOON = 10.0  # seconds that anything may take that is to happen
 LAST = 100
 Change = Callable[[Path], object]
 
@@ -30,7 +30,7 @@ def test_every_role_gets_a_session_by_name_and_by_address(
     secured: str, folder: Path, role: Role, host: str
 ) -> None:
     endpoint = secured.replace("127.0.0.1", host)
-    with ZenohBus.connect(endpoint, SOON, credentials=Credentials.find(folder, role)):
+    with ZenohBus.connect(endpoint, PATIENCE, credentials=Credentials.find(folder, role)):
         pass
 
 
@@ -86,9 +86,9 @@ def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
 ) -> None:
     key, heard, proof = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int](), partial(Credentials.find, folder)
     with (
-        ZenohBus.connect(secured, SOON, credentials=proof(Role.RECORDER)) as recorder,
+        ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.RECORDER)) as recorder,
         ZenohBus.connect(
-            secured, SOON, credentials=Credentials.find(folder, Role.COORDINATOR)
+            secured, PATIENCE, credentials=Credentials.find(folder, Role.COORDINATOR)
         ) as coordinator,
         coordinator.subscribe(key, lambda sample: heard.put(len(sample.payload))),
     ):
@@ -96,7 +96,7 @@ def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
         while not sizes or sizes[-1] != LAST:
             for size in (4096, 4097, 1 << 20, 16 << 20, 20 << 20, LAST):
                 recorder.put(key, bytes(size), encoding="application/octet-stream")
-            sizes.append(heard.get(timeout=SOON))
+            sizes.append(heard.get(timeout=PATIENCE))
     assert set(sizes) <= {4096, LAST}
 
 
@@ -106,10 +106,10 @@ def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured: str, fo
     ours = SecurityFolder(folder).authority
     with (
         stranger(ours, Role.WORKER.common_name, now=issued) as shown,
-        ZenohBus.connect(secured, SOON, credentials=shown) as worker,
+        ZenohBus.connect(secured, PATIENCE, credentials=shown) as worker,
         worker.on_link(links.put),
     ):
-        assert links.get(timeout=SOON) is False
+        assert links.get(timeout=PATIENCE) is False
 
 
 def other(name: str) -> Change:

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from tests.coordinator.recording.recorded import JOB
 from tests.coordinator.runs.plans import SHAPE, Plan, evaluate
+from tests.patience import PATIENCE
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.campaigns.programme import Extent
@@ -30,7 +31,6 @@ from qdgrasp_protocol.messages import Control, Join, Joined, Opened, OpenRun, Re
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
-SOON = 20.0
 PLATFORM = {"pybullet": "3.2.7"}
 SPEC = to_toml(RunSpec(gripper="hand", object="thing")).encode()
 WORK = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
@@ -39,7 +39,7 @@ PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for
 
 def until(condition: Callable[[], bool]) -> None:
     """Look again and again until something holds; the test fails when it takes too long."""
-    deadline = time.monotonic() + SOON
+    deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.001)  # between two looks; nothing depends on how long it is
@@ -116,7 +116,7 @@ class Pretender:
         request = Join(
             versions=[1], wid=self._wid, number=1, credit=2, held=[], host="here", pid=1, platform=PLATFORM
         )
-        codec.decode(self._bus.ask(self._keys.join, codec.encode(request), timeout=SOON), Joined)
+        codec.decode(self._bus.ask(self._keys.join, codec.encode(request), timeout=PATIENCE), Joined)
 
     def _run(self) -> None:
         while (sample := self._inbox.get()) is not None:
@@ -256,7 +256,7 @@ class Job:
             yield thread
         finally:
             self.stop.set(15)
-            thread.join(SOON)
+            thread.join(PATIENCE)
 
     def _serve(self) -> None:
         try:

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 import pytest
 from tests.coordinator.recording.recorded import JOB
 from tests.coordinator.runs.plans import Plan
-from tests.coordinator.serving.served import PLANS, SOON, Identified, Job, Pretender, until
+from tests.coordinator.serving.served import PLANS, Identified, Job, Pretender, until
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.counts import figures
 from qdgrasp_coordinator.counts.curve import Curve
@@ -196,7 +197,7 @@ def test_a_worker_that_dies_is_shown_as_gone() -> None:
     heard = Heard(job.network.session())
     with job.serving(), heard.listening():
         with Pretender(job.network.session(), ANN, answers=False).at_work() as ann:
-            assert ann.kept.wait(SOON)
+            assert ann.kept.wait(PATIENCE)
             until(lambda: "working" in states(heard))
         until(lambda: states(heard)[-1:] == ["gone"])
 

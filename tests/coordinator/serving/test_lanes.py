@@ -4,7 +4,8 @@ from queue import SimpleQueue
 
 import pytest
 from tests.coordinator.runs.plans import Plan
-from tests.coordinator.serving.served import SOON, Runs
+from tests.coordinator.serving.served import Runs
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.serving.lane import Lane
 from qdgrasp_coordinator.serving.lanes import Lanes
@@ -25,7 +26,7 @@ class Coming:
     def ask(self) -> News:
         """Have another run opened; gives what comes of it, which the lanes have not heard."""
         self.lanes.open_another(1, is_wanted=True)
-        return self._news.get(timeout=SOON)
+        return self._news.get(timeout=PATIENCE)
 
     def open(self) -> Lane:
         """Open the next run."""

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 
 import pytest
 from tests.coordinator.runs.plans import Plan, reference
-from tests.coordinator.serving.served import JOB, PLANS, SOON, Job, Pretender, Slow, until
+from tests.coordinator.serving.served import JOB, PLANS, Job, Pretender, Slow, until
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.counts.figures import JobFigures, from_json
 from qdgrasp_coordinator.monitor.jobs import JobView
@@ -24,7 +25,7 @@ LONG = Plan(population=50, evaluations=5000)
 
 def tell(bus: Bus, act: str, **whom: str) -> str:
     order = Order(act=act, **whom)  # type: ignore[arg-type]
-    return codec.decode(bus.ask(Keys(JOB).control, codec.encode(order), timeout=SOON), Done).words
+    return codec.decode(bus.ask(Keys(JOB).control, codec.encode(order), timeout=PATIENCE), Done).words
 
 
 def shown(bus: Bus) -> JobView:
@@ -74,9 +75,9 @@ def test_a_cancelled_job_ends_with_what_it_has_and_takes_back_what_is_out() -> N
     job = Job({"run-0": LONG})
     worker = Pretender(job.network.session(), ANN, answers=False)
     with job.serving() as service, job.network.session() as bus, worker.at_work(), last_words(bus) as told:
-        assert worker.kept.wait(SOON)
+        assert worker.kept.wait(PATIENCE)
         assert "ends" in tell(bus, "cancel")
-        service.join(SOON)
+        service.join(PATIENCE)
         assert not service.is_alive()
         assert told()[-1] == "cancelled"
     assert isinstance(job.error, Cancelled)
@@ -96,7 +97,7 @@ def test_a_cancelled_job_waits_for_what_is_found_to_be_safe() -> None:
         record = job.records["run-0"]
         assert isinstance(record, Slow)
         record.is_safe = True
-        service.join(SOON)
+        service.join(PATIENCE)
     assert isinstance(job.error, Cancelled)
 
 
@@ -105,7 +106,7 @@ def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
     ann = Pretender(job.network.session(), ANN, answers=False)
     bob = Pretender(job.network.session(), BOB)
     with job.serving(), job.network.session() as bus, ann.at_work():
-        assert ann.kept.wait(SOON)
+        assert ann.kept.wait(PATIENCE)
         assert tell(bus, "drain", worker="aaa").startswith(f"Asked 1 worker of job '{JOB}' to finish")
         (worker,) = shown(bus).workers
         assert (worker.state, ann.controls[-1].drain) == ("leaving", True)
@@ -121,7 +122,7 @@ def test_a_drained_worker_that_comes_back_is_told_again() -> None:
     session = job.network.session()
     ann = Pretender(session, ANN, answers=False)
     with job.serving(), job.network.session() as bus, ann.at_work():
-        assert ann.kept.wait(SOON)
+        assert ann.kept.wait(PATIENCE)
         tell(bus, "drain", worker="aaa")
         before = ann.rows
         session.cut()
@@ -143,9 +144,9 @@ def test_who_is_not_there_cannot_be_drained(whom: dict[str, str], reason: str) -
     job = Job({"run-0": LONG})
     ann, bob = (Pretender(job.network.session(), wid, answers=False) for wid in (ANN, BOB))
     with job.serving(), job.network.session() as bus, ann.at_work():
-        assert ann.kept.wait(SOON)
+        assert ann.kept.wait(PATIENCE)
         with bob.at_work():
-            assert bob.kept.wait(SOON)
+            assert bob.kept.wait(PATIENCE)
             with pytest.raises(Refused, match=reason):
                 tell(bus, "drain", **whom)
 
@@ -171,7 +172,7 @@ def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
     with job.serving(), job.network.session() as bus:
         assert shown(bus).meta.epoch in (0, 1)
         with Pretender(job.network.session(), ANN, answers=False).at_work() as worker:
-            assert worker.kept.wait(SOON)
+            assert worker.kept.wait(PATIENCE)
             until(lambda: [one.state for one in shown(bus).workers] == ["working"])
             view = shown(bus)
             values = bus.ask_all(Keys(JOB).stat("team/*"))

@@ -6,7 +6,8 @@ import threading
 import numpy as np
 import pytest
 from tests.coordinator.runs.plans import Plan, reference
-from tests.coordinator.serving.served import JOB, PLANS, SOON, Elsewhere, Job, Pretender, Replaced, Slow
+from tests.coordinator.serving.served import JOB, PLANS, Elsewhere, Job, Pretender, Replaced, Slow
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.counts.figures import JobFigures, from_json
 from qdgrasp_protocol import chunks
@@ -60,7 +61,7 @@ def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
         service = threading.Thread(target=job.service.run)
         service.start()
         try:
-            assert idle.kept.wait(SOON)
+            assert idle.kept.wait(PATIENCE)
             scene = b"run-0" * 100
             assert chunks.fetch(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
             with pytest.raises(Refused, match="no run in progress has the scene"):

@@ -4,8 +4,8 @@ import signal
 import threading
 from queue import SimpleQueue
 
+from tests.patience import PATIENCE
 from tests.worker.serving import stand_in
-from tests.worker.serving.office import PATIENCE
 
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.lifetime import Stop

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from typing import Self
 
 import msgspec
+from tests.patience import PATIENCE
 
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Channel, Query, Sample
@@ -16,8 +17,6 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.local_bus import LocalNetwork
 from qdgrasp_protocol.messages import Chunk, Control, Join, Joined, Result, Work
 from qdgrasp_protocol.sign import Sign
-
-PATIENCE = 200.0
 
 
 class Office:

@@ -11,6 +11,7 @@ from time import monotonic
 
 import numpy as np
 import pytest
+from tests.patience import PATIENCE
 from tests.worker.serving import stand_in
 from tests.worker.serving.batches import work
 
@@ -21,7 +22,6 @@ from qdgrasp_worker.serving.simulator import News, Simulator
 from qdgrasp_worker.serving.task import Task
 from qdgrasp_worker.serving.workshop import NoSimulator, Workshop
 
-PATIENCE = 200.0
 ROW_SECONDS = 0.4
 MEGABYTE = 1_000_000
 SCENE = b"a scene"

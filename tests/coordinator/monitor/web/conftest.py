@@ -11,6 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 from tests import browser
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.monitor.web.access import Access
 from qdgrasp_coordinator.monitor.web.app import Site, application, serve
@@ -78,9 +79,9 @@ def serving_site(site: Site, port: int, token: str = "") -> Iterator[str]:
     thread = threading.Thread(target=serve, args=(site, HERE, port, token, stop, open_at.put))
     thread.start()
     try:
-        assert open_at.get(timeout=30).startswith(f"http://{HERE}:{port}/")
+        assert open_at.get(timeout=PATIENCE).startswith(f"http://{HERE}:{port}/")
         yield f"http://{HERE}:{port}"
     finally:
         stop.set(15)
-        thread.join(20)
+        thread.join(PATIENCE)
         assert not thread.is_alive(), "the server did not end"

@@ -9,6 +9,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from tests.coordinator.monitor.web.conftest import client, free_port, serving
 from tests.coordinator.monitor.web.fakes import STEP, FakeFeed, FakeLibrary
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.monitor.web.app import STATIC
 
@@ -67,12 +68,12 @@ def test_a_library_that_hangs_keeps_nothing_else_waiting(
     feed: FakeFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     over = threading.Event()
-    monkeypatch.setattr(FakeLibrary, "runs", lambda *_: b"{}" if over.wait(30) else b"")
+    monkeypatch.setattr(FakeLibrary, "runs", lambda *_: b"{}" if over.wait(PATIENCE) else b"")
     with serving(feed, free_port()) as address, ThreadPoolExecutor(64) as pool:
-        asked = [pool.submit(urlopen, f"{address}/api/jobs/mug/runs", timeout=60) for _ in range(64)]
+        asked = [pool.submit(urlopen, f"{address}/api/jobs/mug/runs", timeout=PATIENCE) for _ in range(64)]
         try:
             for page in ("/", "/metrics", "/api/state", "/static/style.css"):
-                assert urlopen(address + page, timeout=20).status == 200  # noqa: S310 - our own
+                assert urlopen(address + page, timeout=PATIENCE).status == 200  # noqa: S310 - our own
             assert not any(one.done() for one in asked)
         finally:
             over.set()

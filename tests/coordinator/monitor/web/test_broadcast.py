@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from starlette.types import Message
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.monitor.web import broadcast
 from qdgrasp_coordinator.monitor.web.broadcast import GZIP_HEADER, Broadcast, EventStream, Frame
@@ -25,13 +26,13 @@ class States:
 
 
 def within(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    asyncio.run(asyncio.wait_for(work(), 30))
+    asyncio.run(asyncio.wait_for(work(), PATIENCE))
 
 
 def test_a_state_is_made_once_for_all_who_watch() -> None:
     async def work() -> None:
         states = States()
-        shown = Broadcast(states, 0.001)
+        shown = Broadcast(states, 60)
         watching = [shown.frames() for _ in range(20)]
         seen = await asyncio.gather(*(anext(each) for each in watching))
         assert {frame.plain for frame in seen} == {b"id: 1\ndata: 1\n\n"}
@@ -118,8 +119,11 @@ def test_after_a_state_that_could_not_be_made_the_next_one_who_watches_gets_one(
 
         shown = Broadcast(state, 0.001)
         hung = asyncio.ensure_future(anext(shown.frames()))
-        while next(number) < 2:  # taken once by the state itself
-            await asyncio.sleep(0.01)
+        await asyncio.sleep(0)
+        assert shown._maker
+        while shown._maker:
+            await asyncio.sleep(0.001)
+        assert next(number) == 1, "the state was asked for once, and could not be made"
         assert (await anext(shown.frames())).plain.endswith(b"good\n\n")
         await hung
         shown.end()

@@ -7,6 +7,7 @@ import pytest
 from msgspec.structs import replace
 from tests.coordinator.monitor.web.finds import ORIGIN, HandMadeRecords, finds, random_finds
 from tests.coordinator.monitor.web.test_voxels import in_cells, read
+from tests.patience import PATIENCE
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.monitor.records import Origin, Page
@@ -148,14 +149,14 @@ def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(
 
     def hang(*_: object) -> None:
         asked.set()
-        assert over.wait(30)
+        assert over.wait(PATIENCE)
         raise NoReply("nobody answers")
 
     monkeypatch.setattr(records, "page", hang)
     clock.now += FRESH
     with ThreadPoolExecutor(1) as pool:
         waiting = pool.submit(library.cells, "job", "run", 0)
-        assert asked.wait(30)
+        assert asked.wait(PATIENCE)
         assert [library.cells("job", "run", 0) for _ in range(50)] == [before] * 50
         over.set()
         assert waiting.result() == before

@@ -61,20 +61,19 @@ def slide(page: Page, name: str, to: float) -> None:
     )
 
 
-def shown(page: Page) -> list[str]:
-    """How many cells show each kind, from worst to best."""
-    found: list[str] = page.locator("#scene-key li b").all_inner_texts()
-    return found
+def shown(page: Page) -> Any:
+    """What is expected of the numbers of cells that show each kind, from worst to best."""
+    return expect(page.locator("#scene-key li b"))
 
 
 def test_of_each_cell_the_best_grasp_is_shown_at_first(page: Page) -> None:
-    assert shown(page) == ["1", "1", "3"]
+    shown(page).to_have_text(["1", "1", "3"])
 
 
 def test_a_synergy_shows_the_cells_that_it_grasps_from_with_its_own_best(page: Page) -> None:
     page.get_by_label("Synergy").select_option("power")
     expect(page.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
-    assert shown(page) == ["2", "0", "1"]
+    shown(page).to_have_text(["2", "0", "1"])
     page.get_by_label("Synergy").select_option("any")
     expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
 
@@ -82,7 +81,7 @@ def test_a_synergy_shows_the_cells_that_it_grasps_from_with_its_own_best(page: P
 def test_a_kind_that_is_left_out_uncovers_what_else_is_in_its_cells(page: Page) -> None:
     page.get_by_role("button", name="both survived").click()
     expect(page.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
-    assert shown(page) == ["2", "1", "\N{EN DASH}"]
+    shown(page).to_have_text(["2", "1", "\N{EN DASH}"])
 
 
 def test_only_grasps_with_the_least_eta_are_shown(page: Page) -> None:
@@ -104,7 +103,7 @@ def test_a_box_shows_what_is_in_it(page: Page) -> None:
 def test_one_handle_takes_the_other_along_rather_than_go_beyond_it(page: Page) -> None:
     slide(page, "x highest", -3)
     slide(page, "x lowest", 5)
-    assert values(page) == ["5", "5"]
+    has_values(page, "5", "5")
     expect(page.locator("#scene-words")).to_have_text("0 of 5 cells of 1 cm")
 
 
@@ -112,9 +111,9 @@ def test_two_handles_in_one_place_are_drawn_either_way(page: Page) -> None:
     for name in ("x lowest", "x highest"):
         slide(page, name, 0)
     drag(page, "x highest", -4)
-    assert values(page) == ["-4", "-4"]
+    has_values(page, "-4", "-4")
     drag(page, "x highest", 6)
-    assert values(page) == ["-4", "6"]
+    has_values(page, "-4", "6")
 
 
 def drag(page: Page, name: str, to: float) -> None:
@@ -132,8 +131,10 @@ def drag(page: Page, name: str, to: float) -> None:
     page.mouse.up()
 
 
-def values(page: Page) -> list[str]:
-    return [page.get_by_label(f"x {end}").input_value() for end in ("lowest", "highest")]
+def has_values(page: Page, lowest: str, highest: str) -> None:
+    """Wait until the handles of x are there."""
+    expect(page.get_by_label("x lowest")).to_have_value(lowest)
+    expect(page.get_by_label("x highest")).to_have_value(highest)
 
 
 def test_show_all_takes_every_filter_back(page: Page) -> None:
@@ -142,8 +143,8 @@ def test_show_all_takes_every_filter_back(page: Page) -> None:
     slide(page, "eta at least", 0.3)
     page.get_by_role("button", name="Show all").click()
     expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
-    assert page.get_by_label("Synergy").input_value() == ""
-    assert page.get_by_label("x lowest").input_value() == "-9"
+    expect(page.get_by_label("Synergy")).to_have_value("")
+    expect(page.get_by_label("x lowest")).to_have_value("-9")
     expect(page.get_by_role("button", name="Show all")).to_be_disabled()
 
 
@@ -160,8 +161,8 @@ def test_what_is_found_while_one_looks_passes_the_filters_too(page: Page, record
     more = finds([20, 21], [(9, 9, 9), (8, 8, 8)], [Outcome.HELD] * 2, synergies=[0, 1], etas=[0.2, 0.2])
     records.record(more)
     expect(page.locator("#scene-words")).to_have_text("4 of 7 cells of 1 cm")
-    assert page.get_by_label("y highest").get_attribute("max") == "9"
-    assert page.get_by_label("z highest").input_value() == "9"
+    expect(page.get_by_label("y highest")).to_have_attribute("max", "9")
+    expect(page.get_by_label("z highest")).to_have_value("9")
 
 
 def test_the_card_says_which_frame_is_meant(page: Page) -> None:
@@ -170,8 +171,8 @@ def test_the_card_says_which_frame_is_meant(page: Page) -> None:
     expect(card.locator("h5")).to_have_text("Pose of palm")
     expect(card).to_contain_text("From the centre of mass [mm]0.0, -90.0, 30.0")
     expect(card).to_contain_text("eta0.900")
-    names = page.locator(".scene-frames .name").all_text_contents()
-    assert names == ["object (centre of mass)", "hand (palm)"]
+    names = page.locator(".scene-frames .name")
+    expect(names).to_have_text(["object (centre of mass)", "hand (palm)"])
 
 
 def test_frames_may_be_left_out(page: Page) -> None:

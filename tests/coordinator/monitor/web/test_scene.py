@@ -55,10 +55,8 @@ RESTS = """() => new Promise((done) => {
   };
   look();
 })"""
-ANOTHER = """async () => {
-  const is = () => view.cast?.told.gripper === "claw" && view.cells.size === 30;
-  while (!is()) await new Promise(requestAnimationFrame);
-}"""
+STAND = """(are) => view.cast.hand.visible === are && view.cast.mark.visible === are"""
+"""Whether the hand, and the mark at its cell, are there."""
 CONTENT = """() => Object.fromEntries(Array.from({ length: view.cells.size }, (_, slot) => slot).map(
   (slot) => [view.cells.number(slot), [...view.cells.cell(slot), view.cells.kind(slot)]]))"""
 Page = Any
@@ -107,14 +105,14 @@ def expect(what: Any) -> Any:
 
 def test_all_cells_are_there_and_counted_by_kind(page: Page) -> None:
     expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
-    assert page.locator("#scene-key li b").all_inner_texts() == ["1", "1", "2"]
+    expect(page.locator("#scene-key li b")).to_have_text(["1", "1", "2"])
 
 
 def test_what_is_found_while_one_looks_appears(page: Page, records: HandMadeRecords) -> None:
     expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
     records.record(finds([12, 13], [(0, 0, 9), (0, -9, 3)], [Outcome.HELD] * 2))  # one is in a known cell
     expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
-    assert page.locator("#scene-key li b").all_inner_texts() == ["0", "1", "4"]
+    expect(page.locator("#scene-key li b")).to_have_text(["0", "1", "4"])
 
 
 def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRecords) -> None:
@@ -135,7 +133,7 @@ def test_another_job_of_the_same_name_is_shown_with_its_own_object(
     assert alone.evaluate("[view.told.gripper, view.cells.size]") == ["jaw", 4]
     many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
     records.become(made_scene("claw"), Origin("2" * 64, 2.0), many)
-    alone.evaluate(ANOTHER)
+    alone.wait_for_function("() => view.cast?.told.gripper === 'claw' && view.cells.size === 30")
 
 
 def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
@@ -176,7 +174,7 @@ def test_a_click_on_a_voxel_chooses_its_grasp(alone: Page, number: int) -> None:
     alone.mouse.click(*alone.evaluate(PLACE, number))
     alone.wait_for_function("() => window.grasp")
     assert alone.evaluate("grasp.number") == number
-    assert alone.evaluate("[view.cast.hand.visible, view.cast.mark.visible]") == [True, True]
+    alone.wait_for_function(STAND, arg=True)
 
 
 def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
@@ -184,7 +182,7 @@ def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
     alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
     alone.mouse.click(20, 20)
     alone.wait_for_function("() => window.grasp === null")
-    assert alone.evaluate("[view.cast.hand.visible, view.cast.mark.visible]") == [False, False]
+    alone.wait_for_function(STAND, arg=False)
 
 
 def test_the_hand_stands_where_the_server_says(alone: Page, records: HandMadeRecords) -> None:

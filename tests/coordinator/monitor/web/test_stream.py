@@ -8,6 +8,7 @@ from http.client import HTTPConnection, HTTPResponse
 import pytest
 from tests.coordinator.monitor.web.conftest import HERE, free_port, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
+from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.monitor.web.app import serve
 from qdgrasp_coordinator.monitor.web.broadcast import MOST
@@ -17,7 +18,7 @@ from qdgrasp_protocol.lifetime import Stop
 
 
 def opened(stack: ExitStack, port: int) -> HTTPResponse:
-    connection = HTTPConnection(HERE, port, timeout=30)
+    connection = HTTPConnection(HERE, port, timeout=PATIENCE)
     stack.callback(connection.close)
     connection.request("GET", "/api/stream")
     return connection.getresponse()
