@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--evaluations", type=int, help="in a run (default: 20000 of seed 0, 5000 of others)")
     parser.add_argument("--workers", type=int, default=4, help="how many (default: 4)")
     parser.add_argument("--together", type=int, default=3, help="seeds at a time (default: 3)")
-    parser.add_argument("--minutes", type=float, default=20.0, help="that one run may take (default: 20)")
+    parser.add_argument("--minutes", type=float, default=30.0, help="that one run may take (default: 30)")
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"), help="folder (default: runs/chaos)")
     parser.add_argument("--plan", type=int, metavar="N", help="only show the first N blows of the seed")
     asked = parser.parse_args(arguments)
@@ -80,8 +80,9 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     terms = {"workers": asked.workers, "pace": kind.pace, "limit": 60 * asked.minutes}
     story = disturb(home, spec, plan, **terms, say=Log(seed, home))
     is_same = story.digest == expected
+    verdict = "the same" if is_same else "that of a part" if story.is_given_up else "ANOTHER ONE"
     say(f"seed {seed}: {story.words}; ended by themselves: {dict(story.ended) or 'none'}")
-    say(f"seed {seed}: disturbed digest {story.digest or 'none'}: {'the same' if is_same else 'ANOTHER ONE'}")
+    say(f"seed {seed}: disturbed digest {story.digest or 'none'}: {verdict}")
     if is_same and not story.troubles:
         return True
     if story.digest:

@@ -31,6 +31,8 @@ class Story:
     """Processes that ended by themselves before the job was done, by their names."""
     seconds: float = 0.0
     digest: str = ""
+    is_given_up: bool = False
+    """The job was not done when its time was over."""
     troubles: list[str] = field(default_factory=list)
     """What should not have happened."""
 
@@ -80,7 +82,9 @@ class Play:
             if self._blow is not None and now >= self._strike_at:
                 self._strike(self._blow, now)
             time.sleep(LOOK)
-        self._say("the job is over; everybody is asked to stop")
+        self._story.is_given_up = bool(self._story.troubles)
+        end = "given up" if self._story.is_given_up else "over"
+        self._say(f"the job is {end}; everybody is asked to stop")
         self._conclude()
         return self._story
 
