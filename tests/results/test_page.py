@@ -118,10 +118,13 @@ class TestDuels:
 
     def test_losses_are_listed_in_every_figure(self) -> None:
         text = self.text({0: 0.1, 1: 0.1}, {0: 0.2, 1: 0.2})
-        assert "1 losses" in text
-        assert "Behind in coverage, or cells: me_scs with panda on ycb_mug by 10.0 (loss)" in text
-        assert "Behind in robust coverage: me_scs with panda on ycb_mug by 10.0 (loss)" in text
-        assert "Behind in mean best fitness: nowhere" in text
+        assert "losses 1. Behind nowhere in: mean best fitness; orientations; niches." in text
+        assert "| coverage, or cells | panda | ycb_mug | `me_scs` 10.0 |  |" in text
+        assert "| robust coverage | panda | ycb_mug | `me_scs` 10.0 |  |" in text
+
+    def test_who_is_ahead_but_not_for_certain_stands_apart(self) -> None:
+        text = self.text({0: 0.2, 1: 0.2}, {0: 0.1, 1: 0.4})
+        assert "| coverage, or cells | panda | ycb_mug |  | `me_scs` 5.0 |" in text
 
     def test_where_there_is_no_set_cells_are_compared(self) -> None:
         rows = [row(seed=seed, cells=100) for seed in (0, 1)] + [

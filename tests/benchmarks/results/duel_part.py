@@ -37,6 +37,7 @@ COLUMNS = (
     *(figure.words for figure in BESIDE), "code",
 )  # fmt: skip
 POOLED = ("hand", "against", "objects", "of", *VERDICT)
+BEHIND = ("behind in", "hand", "object", "by a loss to", "else to")
 
 
 @dataclass(frozen=True)
@@ -75,11 +76,6 @@ class Duel:
     def is_mixed(self) -> bool:
         """Whether not all runs are of one evaluation code."""
         return len({row.code for arm in (self.ours, self.theirs) for row in arm.rows.values()}) > 1
-
-    @property
-    def where(self) -> str:
-        """The scene and the other method, for a person."""
-        return f"{self.theirs.method.replace('`', '')} with {self.ours.key.gripper} on {self.ours.key.object}"
 
 
 def duel(ours: Arm, theirs: Arm) -> Duel:
@@ -152,17 +148,16 @@ def _pooled(fought: Sequence[Duel]) -> Iterator[tuple[str, ...]]:
 
 
 def _losses(fought: Sequence[Duel]) -> Iterator[str]:
-    """In a sentence each: how often the default won, and every figure in which it is behind."""
+    """How often the default won, and every figure in which it is behind: a table where there are any."""
     verdicts = [verdict(_interval([duel.differences(duel.figure)])) for duel in fought]
-    said = ", ".join(f"{verdicts.count(one)} {words}" for one, words in VERDICTS.items() if one in verdicts)
-    yield f"In coverage, or cells: {said}."
-    for figure in (None, *BESIDE):
-        behind = [_behind(duel, figure or duel.figure) for duel in fought]
-        names = [words for words in behind if words]
-        label = "coverage, or cells" if figure is None else figure.words.removesuffix(", %")
-        yield f"- Behind in {label}: {'; '.join(names) if names else 'nowhere'}."
+    said = ", ".join(f"{words} {verdicts.count(one)}" for one, words in VERDICTS.items() if one in verdicts)
+    lost = {label(figure): list(_behind(fought, figure)) for figure in (None, *BESIDE)}
+    unlost = "; ".join(name for name, lines in lost.items() if not lines)
+    yield f"In coverage, or cells: {said}. Behind nowhere in: {unlost or 'no figure'}."
     if mixed := sum(duel.is_mixed for duel in fought):
-        yield f"- Of two evaluation codes: {mixed} of {len(fought)}, whose difference may be the codes'."
+        yield f"Of two evaluation codes: {mixed} of {len(fought)}, whose difference may be the codes'."
+    if lines := [line for some in lost.values() for line in some]:
+        yield "\n" + markdown(BEHIND, lines).rstrip("\n")
 
 
 VERDICTS = {"win": "wins", "loss": "losses", "level": "level", "one seed": "of one seed"}
@@ -175,13 +170,29 @@ def verdict(found: Interval) -> str:
     return "win" if found.low > 0 else "loss" if found.high < 0 else "level"
 
 
-def _behind(duel: Duel, figure: Figure) -> str:
-    """What to say where the default is behind; empty elsewhere."""
-    differences = duel.differences(figure)
-    if not len(differences) or differences.mean() >= 0:
-        return ""
-    mark = " (loss)" if verdict(_interval([differences])) == "loss" else ""
-    return f"{duel.where} by {-differences.mean():.{figure.digits}f}{mark}"
+def _behind(fought: Sequence[Duel], figure: Figure | None) -> Iterator[tuple[str, ...]]:
+    """For each hand and object where the default is behind in a figure: whom, and by how much, most first."""
+    groups: dict[tuple[str, str], list[tuple[float, str, str]]] = {}
+    for duel in fought:
+        measure = figure or duel.figure
+        differences = duel.differences(measure)
+        if len(differences) and (by := -differences.mean()) > 0:
+            group = groups.setdefault((duel.ours.key.gripper, duel.ours.key.object), [])
+            words = f"{duel.theirs.method} {by:.{measure.digits}f}"
+            group.append((by, words, verdict(_interval([differences]))))
+    for (hand, thing), group in groups.items():
+        sure, unsure = (
+            ", ".join(
+                words for _, words, found in sorted(group, reverse=True) if (found == "loss") is certain
+            )
+            for certain in (True, False)
+        )
+        yield label(figure), hand, thing, sure, unsure
+
+
+def label(figure: Figure | None) -> str:
+    """A figure's name without its unit; None: coverage, or cells where there is no set."""
+    return "coverage, or cells" if figure is None else figure.words.removesuffix(", %")
 
 
 def _beside(duel: Duel, figure: Figure) -> str:
