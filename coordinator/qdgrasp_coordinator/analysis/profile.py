@@ -162,7 +162,7 @@ class Profile(Struct, frozen=True, kw_only=True):
     scale: float
     """Metres to a unit of the mesh file."""
     run: str
-    """The run that found it, by the name of its folder or in its job."""
+    """The run that found it, by the name of its folder."""
 
     @property
     def table(self) -> str:

@@ -12,7 +12,7 @@ class Provenance:
     """A run, and which rows of a journal are its own."""
 
     run: str
-    """Its name in its job, or that of the folder it lay in."""
+    """The name of the folder that it lay in when its rows were taken."""
     spec: RunSpec
     platform: dict[str, str]
     """What its rows were made on; empty where that is not known."""
@@ -25,8 +25,8 @@ class Provenance:
 def provenances(folder: RunFolder, journal: Journal) -> list[Provenance]:
     """The runs that the rows of a folder's journal come from, in the order of the rows."""
     if not journal.sources:
-        rows = range(journal.count)
-        return [Provenance(folder.run, folder.spec, journal.platform, journal.package, rows)]
+        name, rows = folder.path.absolute().name, range(journal.count)
+        return [Provenance(name, folder.spec, journal.platform, journal.package, rows)]
     found, first = [], 0
     for source in journal.sources:
         rows = range(first, first + source.kept)

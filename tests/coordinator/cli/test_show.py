@@ -27,6 +27,10 @@ def test_a_grasp_is_shown_line_by_line(path: Path) -> None:
     assert "number           1 of 5 rows, counted from 0" in lines
 
 
+def test_the_run_is_told_by_the_name_of_its_folder(path: Path) -> None:
+    assert "run              mug" in show(path, "--grasp", 1).stdout.splitlines()
+
+
 def test_machines_are_told_the_same(path: Path) -> None:
     told = json.loads(show(path, "--grasp", 1, "--json").stdout)
     assert (told["number"], told["outcome"], told["fitness"], told["eta"]) == (1, "held", 2.0, None)

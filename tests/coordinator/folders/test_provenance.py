@@ -21,7 +21,7 @@ def test_the_rows_of_a_run_are_its_own(tmp_path: Path, make_scene: SceneMaker) -
     with folder.journal() as journal:
         (only,) = provenances(folder, journal)
         assert provenance(folder, journal, 99) == only
-    assert (only.run, only.rows, only.spec) == ("run", range(100), folder.spec)
+    assert (only.run, only.rows, only.spec) == ("one", range(100), folder.spec)
 
 
 def test_the_rows_of_a_merged_folder_are_those_of_its_runs(tmp_path: Path, make_scene: SceneMaker) -> None:
