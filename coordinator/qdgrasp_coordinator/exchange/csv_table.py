@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.columns import columns
-from qdgrasp_coordinator.exchange.decimals import decimals
+from qdgrasp_coordinator.exchange.decimals import shortest
 from qdgrasp_coordinator.exchange.grasps import Grasps
 
 
@@ -39,4 +39,4 @@ def _words(values: NDArray[np.generic]) -> list[str]:
     """Values (n,) as text; NaN is empty."""
     if values.dtype.kind != "f":
         return [str(value) for value in values.tolist()]
-    return [word if word != "nan" else "" for (word,) in decimals(values[:, None])]  # type: ignore[arg-type]
+    return [word if word != "nan" else "" for word in shortest(values)]  # type: ignore[arg-type]
