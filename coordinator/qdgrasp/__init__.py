@@ -11,9 +11,7 @@ What a program needs of it (docs/python.md):
 `Place` says where that is done. Nothing is loaded before it is used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # that of `typing`, which takes longer to load than all that is here
 if TYPE_CHECKING:
     from qdgrasp.evaluations import Evaluations
     from qdgrasp.optimising import Search, optimise
@@ -81,9 +79,11 @@ __all__ = [
 __version__: str
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    from importlib import import_module
+
     if name == "__version__":
-        value: Any = import_module("importlib.metadata").version("qdgrasp")
+        value: object = import_module("importlib.metadata").version("qdgrasp")
     elif name in HOMES:
         value = getattr(import_module(HOMES[name]), name)
     else:

@@ -18,10 +18,10 @@ PATIENCE = 1.5  # seconds that a command outside of a `lifetime` may take to hea
 
 def run_command(app: typer.Typer, name: str) -> None:
     """Run a command line; what goes wrong ends it with a sentence on standard error and an exit code."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, _terminated)
-    _end_by_force_if_need_be()
     try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, _terminated)
+        _end_by_force_if_need_be()
         code = app(prog_name=name, standalone_mode=False)
     except QdgraspError as error:
         code = _said(name, str(error), error.exit_code)
@@ -31,12 +31,20 @@ def run_command(app: typer.Typer, name: str) -> None:
         code = 130
     except BrokenPipeError:
         code = 141
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, _leave)
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _terminated(number: int, _frame: FrameType | None) -> None:
     """End a command that is not in a `lifetime` yet, through its with-blocks."""
     raise SystemExit(128 + number)
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    """End a command that is done already; Python itself prints a trace where its end is disturbed."""
+    os._exit(128 + number)
 
 
 def _end_by_force_if_need_be() -> None:

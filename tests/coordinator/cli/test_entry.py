@@ -1,5 +1,6 @@
 """Where the commands begin."""
 
+import signal
 import subprocess
 import sys
 import tomllib
@@ -20,10 +21,48 @@ def test_every_command_begins_before_anything_is_loaded(script: str) -> None:
     assert callable(getattr(entry, name))
 
 
-def test_the_beginning_loads_no_package() -> None:
-    code = "import sys; before = set(sys.modules); import qdgrasp.entry; print(*(set(sys.modules) - before))"
+def test_the_beginning_loads_nothing_but_what_signals_need() -> None:
+    code = (
+        "import importlib, signal, sys; before = set(sys.modules); import qdgrasp.entry; "
+        "print(*(set(sys.modules) - before))"
+    )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout
-    assert not {name.partition(".")[0] for name in loaded.split()} & {"numpy", "typer", "zenoh", "rich"}
+    assert set(loaded.split()) == {"qdgrasp", "qdgrasp.entry"}
+
+
+DISTURBED = """
+import atexit, signal, sys
+function, moment, number = sys.argv[1], sys.argv[2], int(sys.argv[3])
+del sys.argv[1:4]
+class Disturber:
+    def find_spec(self, name, path=None, target=None):
+        if name == moment:
+            signal.raise_signal(number)
+sys.meta_path.insert(0, Disturber())
+if moment == "the end":
+    atexit.register(signal.raise_signal, number)
+from qdgrasp import entry
+getattr(entry, function)()
+"""
+"""A command that is sent a signal when it begins to load a module, or when Python ends."""
+FIRST, WITHIN = "typer", "qdgrasp_coordinator.exchange.exporting"
+EXPORT = ("export", "run", "--format", "csv", "-o", "out.csv")
+
+
+@pytest.mark.parametrize(
+    ("script", "moment", "words"),
+    [*((name, FIRST, ()) for name in SCRIPTS), ("qdgrasp", WITHIN, EXPORT), ("qdgrasp", "the end", ())],
+)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_a_signal_leaves_no_trace_whatever_is_being_loaded(
+    script: str, moment: str, words: tuple[str, ...], number: int
+) -> None:
+    function = SCRIPTS[script].partition(":")[2]
+    asked = (function, moment, str(int(number)), *(words or ["--version"]))
+    done = subprocess.run(
+        [sys.executable, "-c", DISTURBED, *asked], capture_output=True, check=False, text=True
+    )
+    assert (done.returncode, done.stderr) == (128 + number, "")
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
