@@ -1,13 +1,15 @@
 """What every file of grasps says of itself: frames, units, success, licences, and where it came from."""
 
+import hashlib
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import msgspec
 from msgspec import Struct
 
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_coordinator.exchange.frames import COM, Frame
 from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.folders.digest import digest
@@ -39,7 +41,7 @@ class Origin(Struct, frozen=True, kw_only=True):
     digest: str
     """The sha256 over its rows, as `qdgrasp digest` prints it; of a run in progress over those by now."""
     spec: str
-    """Its spec as TOML; without the poses of one that scored given ones."""
+    """Its spec as TOML: files by their names alone, and without the poses of one that scored given ones."""
 
     @property
     def asked(self) -> RunSpec:
@@ -60,6 +62,8 @@ class About(Struct, frozen=True, kw_only=True):
     gripper_source: str
     """"built in", "asset path" or a file's name."""
     gripper_licence: str
+    gripper_sha256: str = ""
+    """Of what a scene bundle holds of it; empty in a file of an earlier version."""
     object: str
     object_file: str
     """The mesh file's name; empty for an object that is built in or from the asset path."""
@@ -79,6 +83,8 @@ class About(Struct, frozen=True, kw_only=True):
     """Lateral friction coefficient."""
     object_source: str
     object_licence: str
+    object_sha256: str = ""
+    """The same."""
     collision_parts: str
     """Where the convex parts that were simulated came from."""
     quaternions: str
@@ -126,6 +132,7 @@ def about(folder: RunFolder, grasps: Grasps, frame: Frame) -> About:
         gripper_axes=f"those of link '{hand.base_link}'; it approaches along {_numbers(hand.approach_axis)}",
         gripper_source=_plain(hand.source),
         gripper_licence=_plain(hand.licence),
+        gripper_sha256=_digest(hand),
         object=body.name,
         object_file=file,
         object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
@@ -137,6 +144,7 @@ def about(folder: RunFolder, grasps: Grasps, frame: Frame) -> About:
         object_friction=body.lateral_friction,
         object_source=_plain(body.source),
         object_licence=_plain(body.licence),
+        object_sha256=_digest(body),
         collision_parts=body.collision_source,
         quaternions=XYZW,
         protocol=scene.protocol,
@@ -161,7 +169,15 @@ def _origins(folder: RunFolder, journal: Journal) -> tuple[Origin, ...]:
 
 
 def _toml(spec: RunSpec) -> str:
-    return to_toml(msgspec.structs.replace(spec, poses=None))
+    """A spec as others may read it: it does not tell in which folders the files of its author are."""
+    names = {name: Path(getattr(spec, name)).name for name in ("gripper", "object")}
+    return to_toml(msgspec.structs.replace(spec, poses=None, **names))
+
+
+def _digest(part: SceneGripper | SceneObject) -> str:
+    """The sha256 over the bytes of a part of a scene, as they are in its bundle."""
+    values = msgspec.to_builtins(part, builtin_types=(bytes,), order="sorted")
+    return hashlib.sha256(msgpack.packb(values, use_bin_type=True)).hexdigest()
 
 
 def _plain(text: str) -> str:

@@ -1,10 +1,12 @@
 """Every format: what independent readers find in its files, and what the files say of themselves."""
 
 import dataclasses
+import hashlib
 import json
 from pathlib import Path
 
 import h5py
+import msgpack
 import msgspec
 import numpy as np
 import pyarrow.parquet
@@ -26,6 +28,7 @@ from qdgrasp_coordinator.exchange.things import Thing
 from qdgrasp_coordinator.exchange.writing import FORMATS
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.spec import from_toml
 
 ACROSS = Rotation.from_euler("z", 90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x."""
@@ -138,6 +141,34 @@ def test_a_file_has_the_digest_and_the_spec_of_the_run(run: RunFolder, tmp_path:
     else:
         assert [(one["run"], one["digest"]) for one in said["runs"]] == [("run", expected)]
         assert 'method = "contact_rand"' in said["runs"][0]["spec"]
+
+
+@each_format
+def test_no_file_says_in_which_folders_its_author_has_files(
+    make_run: MakeRun, tmp_path: Path, name: str
+) -> None:
+    run = make_run(Outcome.HELD, gripper="/home/somebody/hand.toml", object="/home/somebody/block.stl")
+    export(run, tmp_path / "out", name)
+    assert not any(b"somebody" in file.read_bytes() for file in files(tmp_path / "out"))
+    said = words_of(tmp_path / "out", name)
+    assert said["object_file"] == "block.stl"
+    if name == "csv":
+        assert [line for line in (tmp_path / "out").read_text().splitlines() if "hand.toml" in line] == [
+            '#   gripper = "hand.toml"'
+        ]
+    else:
+        (spec,) = (from_toml(each["spec"]) for each in said["runs"])
+        assert spec == msgspec.structs.replace(run.spec, gripper="hand.toml", object="block.stl")
+
+
+@each_format
+def test_every_file_has_the_digests_of_what_the_bundle_holds_of_hand_and_object(
+    run: RunFolder, tmp_path: Path, name: str
+) -> None:
+    export(run, tmp_path / "out", name)
+    said, held = words_of(tmp_path / "out", name), msgpack.unpackb(run.bundle().payload)
+    for part in ("gripper", "object"):
+        assert said[f"{part}_sha256"] == hashlib.sha256(msgpack.packb(held[part])).hexdigest()
 
 
 @each_format
