@@ -4,6 +4,7 @@ import asyncio
 import socket
 from collections.abc import Callable
 from contextlib import nullcontext
+from pathlib import Path
 from typing import Protocol
 
 import uvicorn
@@ -16,11 +17,11 @@ from starlette.routing import BaseRoute, Mount
 from starlette.staticfiles import StaticFiles
 
 from qdgrasp_coordinator.monitor.web.access import Access, Guard
-from qdgrasp_coordinator.monitor.web.run_pages import STATIC
 from qdgrasp_coordinator.monitor.web.visit import Visit
 from qdgrasp_protocol.errors import EndpointError, InputError, QdgraspError
 from qdgrasp_protocol.lifetime import Stop
 
+STATIC = Path(__file__).with_name("static")
 CLOSING = 1  # seconds that answers under way may take when the server ends
 CONNECTIONS = 512
 """So many at a time; whoever comes then is asked to try again."""

@@ -1,18 +1,17 @@
 """Pages of runs: what the view in 3D asks for."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 from anyio import CapacityLimiter, to_thread
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from qdgrasp_coordinator.monitor.web.libraries import Library
+from qdgrasp_coordinator.monitor.web.markup import html
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.keys import number
 
-STATIC = Path(__file__).with_name("static")
 ASKERS = 16
 """So many threads ask the library; what waits for them keeps nothing else waiting."""
 HIGHEST = (1 << 32) - 1
@@ -64,7 +63,7 @@ class RunPages:
 
 def page(name: str) -> Response:
     """A page itself."""
-    return FileResponse(STATIC / f"{name}.html")
+    return HTMLResponse(html(name))
 
 
 def json_of(text: bytes) -> Response:

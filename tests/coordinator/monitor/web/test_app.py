@@ -12,7 +12,9 @@ from tests.coordinator.monitor.web.fakes import STEP, FakeFeed, FakeLibrary
 from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.monitor.web.app import STATIC
+from qdgrasp_coordinator.monitor.web.markup import html
 
+PAGES = ("index", "view")
 SCRIPTS = [path for path in STATIC.rglob("*") if path.is_file() and "vendor" not in path.parts]
 
 
@@ -114,17 +116,23 @@ def test_nothing_in_the_page_comes_from_elsewhere(path: Path) -> None:
     assert re.findall(r"(?:https?:)?//[\w.-]+\.\w+", text) == []
 
 
-def test_the_page_has_no_script_or_style_in_itself() -> None:
-    page = (STATIC / "index.html").read_text(encoding="utf-8")
-    assert re.findall(r"<script(?![^>]* src=)|<style|\sstyle=|\son\w+=", page) == []
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_has_no_script_or_style_in_itself(name: str) -> None:
+    assert re.findall(r"<script(?![^>]* src=)|<style|\sstyle=|\son\w+=", html(name)) == []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_has_all_its_parts_and_each_name_once(name: str) -> None:
+    text = html(name)
+    assert "<!-- " not in text
+    names = re.findall(r'\sid="([^"]+)"', text)
+    assert {"skip", "link", "theme", "main", "scene", "grasp", "scene-filters"} <= set(names)
+    assert len(names) == len(set(names))
+    assert text.index("<meta charset") < 1024
 
 
 def test_what_the_page_loads_is_there() -> None:
-    loaded = [
-        name
-        for page in ("index", "view")
-        for name in re.findall(r'(?:src|href)="static/([^"]+)"', (STATIC / f"{page}.html").read_text("utf-8"))
-    ]
+    loaded = [name for page in PAGES for name in re.findall(r'(?:src|href)="static/([^"]+)"', html(page))]
     imported = [
         (path.parent / name).resolve()
         for path in SCRIPTS

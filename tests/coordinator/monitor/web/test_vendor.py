@@ -44,8 +44,9 @@ def test_the_wheel_holds_the_page_with_the_scripts_of_others_and_their_licences(
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
     packed = set(zipfile.ZipFile(wheel).namelist())
-    page = STATIC.relative_to(PACKAGE.parent).as_posix()
-    assert {f"{page}/{name}" for name in files(STATIC)} <= packed
+    for folder in (STATIC, STATIC.with_name("pages")):
+        home = folder.relative_to(PACKAGE.parent).as_posix()
+        assert {f"{home}/{name}" for name in files(folder)} <= packed
     licences = {
         name.partition("/vendor/")[2] for name in packed if "/licenses/" in name and "/vendor/" in name
     }

@@ -11,6 +11,7 @@ import { Link } from "./link.js";
 import { Outcomes } from "./outcomes.js";
 import { OVER, settled } from "./over.js";
 import { Runs } from "./runs.js";
+import "./skip.js";
 import { Stream } from "./stream.js";
 import { Summary } from "./summary.js";
 import { Workers } from "./workers.js";
@@ -49,8 +50,4 @@ function heard(told) {
   show();
 }
 
-find("skip").addEventListener("click", (event) => {
-  event.preventDefault(); // the address says what is chosen
-  find("main").focus();
-});
 new Stream(`${API}/stream`, heard, (lost) => link.show(lost, state));

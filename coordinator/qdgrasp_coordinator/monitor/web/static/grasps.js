@@ -68,7 +68,7 @@ export class Grasps {
   #say(words = this.#said) {
     this.#said = words;
     const unread = this.#view?.cast ? this.#unread() : 0;
-    say(this.words, unread > 0 ? `${words}; ${several(unread, "more is", "more are")} in the run's folder: qdgrasp view` : words);
+    say(this.words, unread > 0 ? `${words.replace(/\.$/, "")}; ${several(unread, "more is", "more are")} in the run's folder: qdgrasp view` : words);
   }
 
   #steer(view) {

@@ -1,21 +1,23 @@
-// The link: whether the monitor is heard, and hears the jobs; and if not, since when.
+// The link: whether the page's server is heard, and a monitor hears its jobs; and if not, since when.
 
 import { put, say } from "./element.js";
 import { time } from "./words.js";
 
-const WORDS = { live: "live", over: "all is over", cut: "the monitor does not reach its router" };
+const WORDS = { over: "all is over", cut: "the monitor does not reach its router" };
 
 export class Link {
-  constructor(root) {
+  /** `live`: what is said while all is well. */
+  constructor(root, live = "live") {
     this.root = root;
+    this.words = { ...WORDS, live };
   }
 
-  /** `lost`: since when the monitor is not heard, or null; `state`: what it told last. */
+  /** `lost`: since when the server is not heard, or null; `state`: what a monitor told last. */
   show(lost, state) {
     const link = lost ? "lost" : linkOf(state);
     put(this.root, "data-state", link);
     put(document.documentElement, "data-link", link);
-    say(this.root, lost ? `not connected since ${time(lost)}` : WORDS[link]);
+    say(this.root, lost ? `not connected since ${time(lost)}` : this.words[link]);
   }
 }
 

@@ -3,7 +3,8 @@
 import { Choice } from "./choice.js";
 import { element, keyed, put, say } from "./element.js";
 import { Grasps } from "./grasps.js";
-import { time } from "./words.js";
+import { Link } from "./link.js";
+import "./skip.js";
 
 const API = "api";
 const LISTEN = 5000; // ms between questions for runs that have begun
@@ -11,6 +12,7 @@ const MANY = 12; // runs: of more one may be searched for
 const find = (id) => document.getElementById(id);
 const choice = new Choice(show);
 const grasps = new Grasps(find, API);
+const link = new Link(find("link"), "connected");
 let jobs = null;
 let lost = null; // since when nobody answers
 let shownRun = null; // that was brought into sight
@@ -22,8 +24,7 @@ function chosen() {
 }
 
 function show() {
-  say(find("link"), lost ? `not connected since ${time(lost)}` : "connected");
-  put(find("link"), "data-state", lost ? "lost" : "live");
+  link.show(lost);
   if (!jobs) return;
   const { job, run } = chosen();
   const title = run ? nameOf(job, run) : "";
@@ -81,9 +82,6 @@ async function listen() {
   setTimeout(listen, LISTEN);
 }
 
+find("scene-filters").open = true; // there is room for them here
 find("search").addEventListener("input", () => jobs && show());
-find("skip").addEventListener("click", (event) => {
-  event.preventDefault(); // the address says what is chosen
-  find("main").focus();
-});
 listen();
