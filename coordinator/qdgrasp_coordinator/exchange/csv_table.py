@@ -1,7 +1,6 @@
 """CSV: the same table as Parquet, as text; lines that begin with # say what the file is."""
 
-import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +11,17 @@ from qdgrasp_coordinator.exchange.columns import columns
 from qdgrasp_coordinator.exchange.decimals import shortest
 from qdgrasp_coordinator.exchange.grasps import Grasps
 
+SPECIAL = frozenset('",#\r\n')
+"""A word with one of these stands in quotes: a reader would take what is behind a bare # for a remark."""
+
 
 def write(path: Path, grasps: Grasps, about: About) -> None:
     """Write grasps as CSV in UTF-8, lines ended by a newline."""
     table = list(columns(grasps, about.frame))
     with path.open("w", encoding="utf-8", newline="") as file:
         file.writelines(f"# {line}\n" for said in _said(about) for line in said.splitlines())
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(column.name for column in table)
-        writer.writerows(zip(*(_words(column.values) for column in table), strict=True))
+        file.write(_line(_field(column.name) for column in table))
+        file.writelines(map(_line, zip(*(_fields(column.values) for column in table), strict=True)))
 
 
 def _said(about: About) -> Iterator[str]:
@@ -35,8 +36,19 @@ def _said(about: About) -> Iterator[str]:
         yield from (f"  {line}" for line in run.spec.splitlines())
 
 
-def _words(values: NDArray[np.generic]) -> list[str]:
-    """Values (n,) as text; NaN is empty."""
-    if values.dtype.kind != "f":
-        return [str(value) for value in values.tolist()]
-    return [word if word != "nan" else "" for word in shortest(values)]  # type: ignore[arg-type]
+def _line(fields: Iterable[str]) -> str:
+    return ",".join(fields) + "\n"
+
+
+def _fields(values: NDArray[np.generic]) -> list[str]:
+    """Values (n,) as they stand between commas; NaN is empty."""
+    if values.dtype.kind == "f":
+        numbers = shortest(values)  # type: ignore[arg-type]  # the kind says that they are floats
+        return [word if word != "nan" else "" for word in numbers]
+    return [_field(str(value)) for value in values.tolist()]
+
+
+def _field(word: str) -> str:
+    if SPECIAL.isdisjoint(word):
+        return word
+    return '"' + word.replace('"', '""') + '"'
