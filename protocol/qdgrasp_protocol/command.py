@@ -12,6 +12,7 @@ from typer.exceptions import TyperException
 
 from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.printable import printable
+from qdgrasp_protocol.usage import misuse
 
 PATIENCE = 1.5  # seconds that a command outside of a `lifetime` may take to hear a signal
 
@@ -26,7 +27,7 @@ def run_command(app: typer.Typer, name: str) -> None:
     except QdgraspError as error:
         code = _said(name, str(error), error.exit_code)
     except TyperException as error:
-        code = _misused(name, error.format_message())
+        code = _misused(name, error)
     except (KeyboardInterrupt, typer.Abort):
         code = 130
     except BrokenPipeError:
@@ -66,12 +67,13 @@ def _wait_for_a_note(end: int) -> None:
     os._exit(128 + number)
 
 
-def _misused(name: str, words: str) -> int:
+def _misused(name: str, error: TyperException) -> int:
     """Say what was wrong with a command line; one with nothing in it is answered with the whole help."""
+    words = error.format_message()
     if words.startswith("Usage: "):
         print(words, file=sys.stderr, flush=True)  # noqa: T201 - help is for a person who asked for nothing else
         return InputError.exit_code
-    return _said(name, f"{words} See `{name} --help`.", InputError.exit_code)
+    return _said(name, misuse(error, name), InputError.exit_code)
 
 
 def _said(name: str, sentence: str, code: int) -> int:
