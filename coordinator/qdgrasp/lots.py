@@ -23,9 +23,14 @@ class Lot:
         if self.assignment.pipeline.finished is not None and not self.rows.done():
             self.rows.set_result(self.memory.rows)
 
+    def fail(self, why: BaseException) -> None:
+        """Tell whoever waits that there will be no rows."""
+        if not self.rows.done():
+            self.rows.set_exception(why)
+
 
 class Lots:
-    """A programme whose runs are made as somebody asks for them, one after the other, until it is closed."""
+    """A programme whose runs are made as somebody asks for them, until it is closed."""
 
     def __init__(self) -> None:
         self.extent = Extent.of({})

@@ -1,28 +1,45 @@
 """Hand poses that come from outside, and the scores that go back."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.counts.arrays import read_arrays
+from qdgrasp_coordinator.counts.numbers import finite, numbers
 from qdgrasp_coordinator.counts.scores import eta, sums
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.genome import GIVEN, NO_SYNERGY, Genomes
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
 
 ROUNDING = 1e-6
 """How far float32 may take a unit quaternion's length from one."""
+SHORTEST = 1e-6
+"""Quaternions that are shorter name no rotation."""
+FARTHEST = 1000.0
+"""From the origin of a frame [m], hands and centres of mass; farther ones lose their digits in float32."""
+
+
+class Names(NamedTuple):
+    """What the arrays of poses are called where they come from; errors name them so."""
+
+    positions: str
+    quaternions: str
+    synergies: str
+    spreads: str
+
+
+IN_FILES = Names("base_position", "base_quaternion_xyzw", "synergy", "spread")
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of a hand's root link in the object's centre-of-mass frame."""
+    """Poses of a hand's root link in the object's centre-of-mass frame; made by `of` or `read_poses`."""
 
     positions: NDArray[np.float64]
     """(n, 3) [m]."""
@@ -32,28 +49,79 @@ class Poses:
     """(n,) labels; -1: none."""
     spreads: NDArray[np.float64]
     """(n, k) positions of the free joints [rad]; NaN: the open posture."""
+    called: Names
+
+    @classmethod
+    def of(
+        cls,
+        called: Names,
+        positions: ArrayLike,
+        quaternions: ArrayLike,
+        synergies: ArrayLike | None = None,
+        spreads: ArrayLike | None = None,
+    ) -> "Poses":
+        """Poses from arrays as the fields have them; a label that is NaN, and None for all: none, open.
+
+        Raises
+        ------
+        InputError
+            An array has another type or shape, holds a number that cannot be, or there are no poses.
+        """
+        places = finite(called.positions, positions, ("n", 3))
+        n = len(places)
+        turns = finite(called.quaternions, quaternions, (n, 4))
+        labels = np.full(n, np.nan) if synergies is None else numbers(called.synergies, synergies, (n,))
+        free = np.full((n, 0), np.nan) if spreads is None else numbers(called.spreads, spreads, (n, "k"))
+        _check_places(called.positions, places)
+        if (np.linalg.norm(turns, axis=1) < SHORTEST).any():
+            raise InputError(f"{called.quaternions} holds a quaternion of length zero, which is no rotation.")
+        if np.isinf(free).any():
+            raise InputError(f"{called.spreads} holds a number that is infinite.")
+        return cls(places, turns, _integers(called.synergies, labels), free, called)
 
     def __len__(self) -> int:
         return len(self.positions)
 
-    def genomes(self, scene: Scene) -> NDArray[np.float32]:
-        """The genomes of the prior `given` (assets, `layout`): the pose, then synergy and free joints."""
-        columns = [self.positions, _unit(self.quaternions)]
-        if scene.gripper.synergies:
-            columns.append(self._labels(len(scene.gripper.synergies))[:, None])
-        if free := scene.gripper.free_joints:
-            columns.append(self._free(scene, len(free)))
-        return np.hstack(columns).astype(np.float32)
+    def check(self, hand: SceneGripper) -> None:
+        """Check that a hand has the synergies and free joints that poses ask for.
 
-    def _labels(self, known: int) -> NDArray[np.float64]:
+        Raises
+        ------
+        ImpossibleValue
+            It does not.
+        """
+        known, free = len(hand.synergies), len(hand.free_joints)
         wrong = self.synergies[(self.synergies < NO_SYNERGY) | (self.synergies >= known)]
         if len(wrong):
-            raise InputError(f"synergy must be -1 (none) or 0 to {known - 1} for this hand, got {wrong[0]}.")
-        return self.synergies.astype(np.float64)
+            labels = f"-1 (none) or 0 to {known - 1} for this hand" if known else "-1, for the hand has none"
+            raise ImpossibleValue(self.called.synergies, int(wrong[0]), labels)
+        behind = self.spreads[:, free:]
+        if len(told := behind[~np.isnan(behind)]):
+            columns = (
+                f"NaN but in the first {free} columns" if free else "NaN, for the hand has no free joints"
+            )
+            raise ImpossibleValue(self.called.spreads, float(told[0]), columns)
 
-    def _free(self, scene: Scene, count: int) -> NDArray[np.float64]:
-        opened = {joint.name: joint.opened for joint in scene.gripper.joints}
-        default = np.array([opened[joint.name] for joint in scene.gripper.free_joints])
+    def genomes(self, scene: Scene) -> NDArray[np.float32]:
+        """The genomes of the prior `given` (assets, `layout`): the pose, then synergy and free joints.
+
+        Raises
+        ------
+        ImpossibleValue
+            As `check`.
+        """
+        hand = scene.gripper
+        self.check(hand)
+        columns = [self.positions, _unit(self.quaternions)]
+        if hand.synergies:
+            columns.append(self.synergies[:, None].astype(np.float64))
+        if hand.free_joints:
+            columns.append(self._free(hand))
+        return np.hstack(columns).astype(np.float32)
+
+    def _free(self, hand: SceneGripper) -> NDArray[np.float64]:
+        opened, count = {joint.name: joint.opened for joint in hand.joints}, len(hand.free_joints)
+        default = np.array([opened[joint.name] for joint in hand.free_joints])
         given = np.full((len(self), count), np.nan)
         given[:, : self.spreads.shape[1]] = self.spreads[:, :count]
         return np.where(np.isnan(given), default, given)
@@ -65,27 +133,15 @@ def read_poses(path: Path) -> Poses:
     Raises
     ------
     InputError
-        The file cannot be read, lacks an array, or holds one of the wrong shape or with impossible numbers.
+        The file cannot be read, lacks an array, or holds one that cannot be (`Poses.of`).
     """
     arrays = read_arrays(path, "poses")
-    positions = _array(arrays, "base_position", 3, path)
-    quaternions = _array(arrays, "base_quaternion_xyzw", 4, path)
-    n = len(positions)
-    if len(quaternions) != n:
-        raise InputError(f"{path}: base_position has {n} rows, base_quaternion_xyzw {len(quaternions)}.")
-    if n == 0:
-        raise InputError(f"{path} holds no poses.")
-    if (np.linalg.norm(quaternions, axis=1) < 1e-6).any():
-        raise InputError(f"{path}: base_quaternion_xyzw holds a quaternion of length zero.")
-    synergies = np.asarray(arrays.get("synergy", np.full(n, NO_SYNERGY)))
-    spreads = np.asarray(arrays.get("spread", np.full((n, 2), np.nan)))
-    numeric = synergies.dtype.kind in "fiu" and spreads.dtype.kind in "fiu"
-    if not numeric or synergies.shape != (n,) or spreads.ndim != 2 or len(spreads) != n:
-        raise InputError(f"{path}: synergy must be numbers of shape ({n},) and spread of shape ({n}, 2).")
-    labels = np.where(np.isnan(synergies.astype(np.float64)), NO_SYNERGY, synergies)
-    if np.isinf(labels).any() or np.isinf(spreads.astype(np.float64)).any():
-        raise InputError(f"{path}: synergy or spread holds a number that is infinite.")
-    return Poses(positions, quaternions, labels.astype(np.int64), spreads.astype(np.float64))
+    for name in (IN_FILES.positions, IN_FILES.quaternions):
+        if name not in arrays:
+            raise InputError(f"{path} has no array '{name}'; it has {', '.join(sorted(arrays)) or 'none'}.")
+    called = Names(*(f"{path}: {name}" for name in IN_FILES))
+    first, second, *others = IN_FILES
+    return Poses.of(called, arrays[first], arrays[second], *map(arrays.get, others))
 
 
 def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
@@ -171,14 +227,19 @@ def _unit(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.abs(lengths - 1.0) < ROUNDING, quaternions, quaternions / lengths)
 
 
-def _array(
-    arrays: Mapping[str, NDArray[np.generic]], name: str, width: int, path: Path
-) -> NDArray[np.float64]:
-    if name not in arrays:
-        raise InputError(f"{path} has no array '{name}'; it has {', '.join(sorted(arrays)) or 'none'}.")
-    array = arrays[name]
-    if array.ndim != 2 or array.shape[1] != width or array.dtype.kind not in "fiu":
-        raise InputError(f"{path}: {name} must be numbers of shape (n, {width}), got {array.shape}.")
-    if not np.isfinite(array).all():
-        raise InputError(f"{path}: {name} holds a number that is not finite.")
-    return array.astype(np.float64)
+def _check_places(name: str, places: NDArray[np.float64]) -> None:
+    if not len(places):
+        raise InputError(f"{name} holds no poses.")
+    far = places[np.abs(places) > FARTHEST]
+    if len(far):
+        raise ImpossibleValue(name, float(far[0]), f"no more than {FARTHEST:g} m away; lengths are metres")
+
+
+def _integers(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Labels (n,); NaN: none."""
+    labels = np.where(np.isnan(labels), NO_SYNERGY, labels)
+    with np.errstate(invalid="ignore"):
+        integers = labels.astype(np.int64)
+    if len(wrong := labels[integers != labels]):
+        raise ImpossibleValue(name, float(wrong[0]), "integers")
+    return integers

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.rotation import Floats
+from qdgrasp_coordinator.counts.poses import FARTHEST
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.told import Told, Unusable
 from qdgrasp_protocol.errors import InputError
 
 OFF_UNIT = 1e-2
 """A quaternion may be so much longer or shorter than one, and a matrix so far from a rotation."""
-FARTHEST = 1000.0
-"""From the origin of a frame [m], hands and centres of mass; farther ones lose their digits in float32."""
 
 
 def check(path: Path, told: Told) -> None:

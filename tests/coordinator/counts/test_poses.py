@@ -40,13 +40,22 @@ def test_no_synergy_and_no_spread_are_accepted_for_every_hand(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"base_position": np.zeros((2, 2))}, "shape (n, 3)"),
-        ({"base_position": np.zeros((3, 3))}, "3 rows"),
+        ({"base_position": np.zeros((2, 2))}, "base_position must be numbers of shape (n, 3), got (2, 2)"),
+        (
+            {"base_position": np.zeros((3, 3))},
+            "base_quaternion_xyzw must be numbers of shape (3, 4), got (2, 4)",
+        ),
+        ({"base_position": np.zeros((2, 3), complex)}, "its type is complex128"),
+        ({"base_position": np.full((2, 3), 1e30)}, "no more than 1000 m away; lengths are metres, got 1e+30"),
         ({"base_position": np.full((2, 3), np.nan)}, "not finite"),
         ({"base_quaternion_xyzw": np.zeros((2, 4))}, "length zero"),
         ({"synergy": np.zeros(3, np.int8)}, "synergy"),
         ({"synergy": np.array(["thumb", "index"])}, "synergy"),
-        ({"synergy": np.array([np.inf, 0.0])}, "infinite"),
+        ({"synergy": np.array([np.inf, 0.0])}, "synergy must be integers, got inf"),
+        ({"synergy": np.array([0.5, 0.0])}, "synergy must be integers, got 0.5"),
+        ({"synergy": np.array([1e300, 0.0])}, "synergy must be integers, got 1e+300"),
+        ({"spread": np.zeros(2)}, "spread must be numbers of shape (2, k), got (2,)"),
+        ({"spread": np.full((2, 2), np.inf)}, "spread holds a number that is infinite"),
         ({"base_position": np.zeros((0, 3)), "base_quaternion_xyzw": np.zeros((0, 4))}, "no poses"),
     ],
 )
@@ -54,6 +63,46 @@ def test_arrays_that_cannot_be_are_named(tmp_path, change, words):
     with pytest.raises(InputError, match=r".") as raised:
         read_poses(saved(tmp_path / "poses.npz", **(POSES | change)))
     assert words in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("hand", "asked", "words"),
+    [
+        ("panda", {"synergy": np.array([9, 0])}, "synergy must be -1, for the hand has none, got 9"),
+        ("panda", {"synergy": np.array([-2, -1])}, "synergy must be -1, for the hand has none, got -2"),
+        (
+            "allegro",
+            {"synergy": np.array([3, 4])},
+            "synergy must be -1 (none) or 0 to 3 for this hand, got 4",
+        ),
+        (
+            "panda",
+            {"spread": np.array([[np.nan], [0.3]])},
+            "spread must be NaN, for the hand has no free joints",
+        ),
+        (
+            "barrett",
+            {"spread": np.full((2, 3), 0.3)},
+            "spread must be NaN but in the first 2 columns, got 0.3",
+        ),
+    ],
+)
+def test_what_a_hand_does_not_have_is_asked_of_no_hand(tmp_path, hand, asked, words):
+    poses = read_poses(saved(tmp_path / "poses.npz", **POSES, **asked))
+    scene = build_scene(RunSpec(gripper=hand, object="tennis_ball"))
+    with pytest.raises(InputError) as raised:
+        poses.genomes(scene)
+    assert f"{tmp_path / 'poses.npz'}: {words}" in str(raised.value)
+
+
+def test_labels_and_free_joints_that_are_not_said_stand_for_the_open_hand_and_all_its_joints(tmp_path):
+    silent = {"synergy": np.full(2, np.nan), "spread": np.full((2, 3), np.nan)}
+    scene = build_scene(RunSpec(gripper="barrett", object="tennis_ball"))
+    plain, said = (
+        read_poses(saved(tmp_path / name, **POSES, **asked)).genomes(scene)
+        for name, asked in {"plain.npz": {}, "said.npz": silent}.items()
+    )
+    assert plain.tobytes() == said.tobytes()
 
 
 def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):

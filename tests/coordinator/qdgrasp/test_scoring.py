@@ -14,6 +14,9 @@ BAD = {
     "a word": ({"positions": "abc"}, "positions must be numbers of shape"),
     "words": ({"spreads": [["a"]]}, "spreads must be numbers of shape"),
     "half a label": ({"synergies": [0.5]}, "synergies must be integers, got 0.5"),
+    "a number that is not real": ({"positions": [[0j, 0, 1]]}, "its type is complex128"),
+    "a place that is far": ({"positions": [[0, 0, 1e30]]}, "positions must be no more than 1000 m away"),
+    "no pose": ({"positions": [[]] * 0}, "positions must be numbers of shape"),
     "another keyword": ({"colour": 3}, "Unknown keyword 'colour'"),
 }
 
@@ -36,6 +39,12 @@ def test_a_synergy_of_a_hand_that_has_none_is_refused() -> None:
     place = qdgrasp.Place(workers=0)
     with pytest.raises(InputError, match="synergies must be -1, for the hand has none, got 5"):
         qdgrasp.evaluate(ABOVE, DOWN, synergies=[5], place=place, gripper="panda", object="tennis_ball")
+
+
+def test_a_free_joint_of_a_hand_that_has_none_is_refused() -> None:
+    place = qdgrasp.Place(workers=0)
+    with pytest.raises(InputError, match="spreads must be NaN, for the hand has no free joints"):
+        qdgrasp.evaluate(ABOVE, DOWN, spreads=[[0.3]], place=place, gripper="panda", object="tennis_ball")
 
 
 def test_time_that_is_over_is_said_in_words() -> None:
