@@ -8,6 +8,8 @@ from pathlib import Path
 
 from qdgrasp_protocol.errors import SecurityError
 
+VARIABLE = "QDGRASP_SECURITY"
+"""Names the folder to commands that somebody starts; processes that a command starts are told by a flag."""
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
 """The permissions of everybody but a key's owner."""
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from qdgrasp_protocol.credentials import VARIABLE
 from qdgrasp_protocol.lifetime import SUPERVISED
 
 GRACE = 2.0  # seconds that a process may take to stop before it is killed
@@ -191,8 +192,14 @@ def _start(command: list[str], log: Path | None, core: int | None) -> subprocess
             stdout=file,
             stderr=file,
             start_new_session=True,
-            env={**os.environ, **ONE_THREAD, SUPERVISED: "1"},
+            env=_environment(),
         )
+
+
+def _environment() -> dict[str, str]:
+    """Ours, but for certificates: they go with an endpoint, and we say for each whether it is encrypted."""
+    ours = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    return {**ours, **ONE_THREAD, SUPERVISED: "1"}
 
 
 def _close(pipe: IO[bytes] | None) -> None:

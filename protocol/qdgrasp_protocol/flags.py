@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from qdgrasp_protocol.credentials import VARIABLE
+
 Connect = Annotated[
     str | None,
     typer.Option(
@@ -17,7 +19,7 @@ Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait for the router
 Security = Annotated[
     Path | None,
     typer.Option(
-        envvar="QDGRASP_SECURITY",
+        envvar=VARIABLE,
         metavar="DIR",
         help="Folder of certificates, as `qdgrasp security init` writes one: links are encrypted.",
     ),

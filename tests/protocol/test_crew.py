@@ -8,6 +8,7 @@ import sys
 import pytest
 from tests.patience import PATIENCE
 
+from qdgrasp_protocol.credentials import VARIABLE
 from qdgrasp_protocol.crew import BACK_OFF_LAST, Crew, Death, back_off
 from qdgrasp_protocol.lifetime import SUPERVISED
 
@@ -36,6 +37,14 @@ def test_a_killed_member_is_started_again_when_its_back_off_is_over(crew):
     assert crew.pids() == {}
     crew.restart_due(100.0 + pause)
     assert set(crew.pids()) == {"sleeper"}
+
+
+def test_a_member_takes_no_certificates_but_those_that_it_is_told_of(crew, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "security")
+    crew.hire(
+        "asked", "timeit", ["-n1", "-r1", f"import os; os._exit(5 if {VARIABLE!r} in os.environ else 4)"]
+    )
+    assert crew.process("asked").wait(PATIENCE) == 4
 
 
 def test_back_off_grows_to_a_limit():
