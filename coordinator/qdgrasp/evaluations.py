@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from qdgrasp.genomes import checked, layout_of
 from qdgrasp.lots import Lot, Lots
-from qdgrasp.places import HERE, Place, Quiet, Stage, opened
+from qdgrasp.places import HERE, Place, Quiet, opened
 from qdgrasp.scenery import Scenery, spec_of
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
@@ -23,7 +23,7 @@ from qdgrasp_coordinator.runs.pipeline import Pipeline
 from qdgrasp_coordinator.runs.preparation import scene_shape
 from qdgrasp_coordinator.searches.given import Given
 from qdgrasp_coordinator.serving.record import Memory
-from qdgrasp_coordinator.serving.service import CoordinatorService
+from qdgrasp_coordinator.watching.stage import Stage
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.lifetime import Stop
@@ -88,7 +88,7 @@ class Evaluations:
         with ExitStack() as doors:
             logs = Path(doors.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
             stage = doors.enter_context(opened(self._place, logs, Quiet()))
-            stage.hire_workers()
+            stage.hire_workers(self._place.hands)
             self.endpoint = stage.endpoint
             thread = threading.Thread(target=self._serve, args=(stage,), name="evaluations", daemon=True)
             thread.start()
@@ -167,29 +167,18 @@ class Evaluations:
 
     def _serve(self, stage: Stage) -> None:
         """Be the coordinator until the with-block is left."""
-        service = CoordinatorService(
-            stage.bus,
-            self._stop,
-            job=stage.job,
-            programme=self._lots,
-            make_record=self._record,
-            batch_size=self._place.batch_size,
-        )
-
-        def look(now: float) -> None:
-            stage.watch.progressed(service.figures(now))
-            stage.watch.look(now)
-            if self._lot is not None:
-                self._lot.look()
-
         try:
-            service.run(look)
+            stage.coordinate(self._lots, self._record, self._stop, self._place.batch_size, self._look)
         except BaseException as error:  # noqa: BLE001  # it is raised where somebody waits
             self._end = error
         else:
             self._end = EndedEarly("The job has ended.")
         if self._lot is not None and not self._lot.rows.done():
             self._lot.rows.set_exception(self._end)
+
+    def _look(self) -> None:
+        if self._lot is not None:
+            self._lot.look()
 
     def _record(self, assignment: Assignment) -> Memory:
         """Where the rows of a lot go."""

@@ -9,7 +9,7 @@ from typing import Protocol, TypeAlias, Unpack
 from numpy.typing import ArrayLike
 
 from qdgrasp.genomes import checked, layout_of
-from qdgrasp.places import HERE, Place, Quiet, Stage, opened
+from qdgrasp.places import HERE, Place, Quiet, opened
 from qdgrasp.runs import Run
 from qdgrasp.scenery import Scenery, spec_of
 from qdgrasp_assets.catalog import build_scene
@@ -19,7 +19,6 @@ from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.runs.preparation import with_search
 from qdgrasp_coordinator.searches.search import CUSTOM, method
 from qdgrasp_coordinator.serving.recorder_link import RecorderLink
-from qdgrasp_coordinator.serving.service import CoordinatorService
 from qdgrasp_coordinator.watching.progress import Display, display
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.genome import Genomes, Layout
@@ -156,8 +155,13 @@ def optimise(
         opened(place, folder.job.logs, shown, folder.job.name) as stage,
     ):
         stage.hire_recorder(folder.path)
-        stage.hire_workers()
-        _carry_out(make, folder, stage, shown)
+        stage.hire_workers(place.hands)
+        stage.coordinate(
+            _programme(make, folder),
+            lambda run: RecorderLink(stage.bus, stage.job, run.shape),
+            Stop(),
+            place.batch_size,
+        )
     return Run(folder.path)
 
 
@@ -176,25 +180,8 @@ def _folder(path: Path, spec: RunSpec, place: Place, *, resume: bool) -> RunFold
     return folder
 
 
-def _carry_out(make: Make, folder: RunFolder, stage: Stage, shown: Display) -> None:
-    """Be the coordinator, in this thread, until the run is over."""
+def _programme(make: Make, folder: RunFolder) -> Single:
+    """The run, with a search that is made when it begins."""
     spec, scene, bundle = folder.spec, folder.scene(), folder.bundle()
     genes = layout_of(scene, method(spec.method).prior)
-    service = CoordinatorService(
-        stage.bus,
-        Stop(),
-        job=stage.job,
-        programme=Single(
-            lambda: with_search(Looked(make(genes), genes), spec, scene, bundle), spec.evaluations
-        ),
-        make_record=lambda run: RecorderLink(stage.bus, stage.job, run.shape),
-        batch_size=stage.place.batch_size,
-    )
-
-    def look(now: float) -> None:
-        figures = service.figures(now)
-        stage.watch.progressed(figures)
-        stage.watch.look(now)
-        shown.show(figures)
-
-    service.run(look)
+    return Single(lambda: with_search(Looked(make(genes), genes), spec, scene, bundle), spec.evaluations)

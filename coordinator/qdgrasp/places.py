@@ -1,22 +1,21 @@
-"""Places: where evaluations are carried out, and the processes that are started there."""
+"""Places: where evaluations are carried out."""
 
 import logging
 import os
 import secrets
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import structlog
 
 from qdgrasp_coordinator.counts.figures import JobFigures
+from qdgrasp_coordinator.watching import stage
 from qdgrasp_coordinator.watching.progress import Display
-from qdgrasp_coordinator.watching.watch import Watch
-from qdgrasp_coordinator.watching.workers import GRACE, hire_worker
-from qdgrasp_protocol.bus import Bus
+from qdgrasp_coordinator.watching.stage import Stage
 from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.crew import Crew
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.logs import speak
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -36,10 +35,17 @@ class Place:
     job: str | None = None
     """The job's name on the bus; None: one that no other has."""
     security: str | os.PathLike[str] | None = None
-    """Folder of certificates, of a coordinator and, for `workers`, of a worker; None: links are not
-    encrypted."""
+    """Folder of certificates for a router elsewhere: of a coordinator, for `workers` of a worker, and for
+    `optimise` of a recorder; None: links are not encrypted."""
     batch_size: int | None = None
     """Rows in a batch; None: measured. No result depends on it."""
+
+    def __post_init__(self) -> None:
+        if self.security and not self.connect:
+            raise InputError(
+                "Place: certificates are for the links to a router: name it with connect='tls/HOST:PORT', or "
+                "leave security out."
+            )
 
     @property
     def hands(self) -> int:
@@ -71,32 +77,6 @@ HERE = Place()
 """This machine, all of it."""
 
 
-@dataclass(frozen=True)
-class Stage:
-    """A place that is open: a session, and processes that are looked after."""
-
-    bus: Bus
-    endpoint: str
-    job: str
-    place: Place
-    crew: Crew
-    watch: Watch
-
-    def hire_recorder(self, out: Path) -> None:
-        """Start a recorder that writes to the folder of a job."""
-        self.crew.hire("recorder", "qdgrasp_coordinator.cli.recorder", [*self.meeting, "--out", str(out)])
-
-    def hire_workers(self) -> None:
-        """Start the workers of this place."""
-        for number in range(self.place.hands):
-            hire_worker(self.crew, number, self.meeting)
-
-    @property
-    def meeting(self) -> list[str]:
-        """Where processes meet, and what they show there."""
-        return ["--connect", self.endpoint, "--job", self.job, *self.place.proof]
-
-
 @contextmanager
 def opened(place: Place, logs: Path, shown: Display, job: str | None = None) -> Iterator[Stage]:
     """Open a place; leaving it ends the processes that were started.
@@ -116,11 +96,8 @@ def opened(place: Place, logs: Path, shown: Display, job: str | None = None) -> 
     if not structlog.is_configured():
         speak("qdgrasp", level=logging.WARNING)
     name = place.job or job or f"python-{secrets.token_hex(4)}"
-    with ExitStack() as stack:
-        bus, endpoint = place.meet()
-        stack.enter_context(bus)
-        crew = stack.enter_context(Crew(logs, GRACE))
-        yield Stage(bus, endpoint, name, place, crew, Watch(crew, shown))
+    with stage.opened(name, logs, shown, *place.meet(), place.proof) as here:
+        yield here
 
 
 class Quiet:

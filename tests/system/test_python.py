@@ -6,12 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.endpoints import own_endpoint
 from tests.patience import PATIENCE
-from tests.system.commands import Commands
+from tests.system.commands import Commands, says
 
 import qdgrasp
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_coordinator.folders.digest import digest
+from qdgrasp_coordinator.security.folder import SecurityFolder
+from qdgrasp_protocol.credentials import Role
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError
 from qdgrasp_worker.evaluate import Evaluator
 
@@ -143,6 +146,38 @@ def test_a_job_that_is_cancelled_ends_the_waiting(commands: Commands) -> None:
         waiting.join(PATIENCE)
     assert done.code == 0, done.err
     assert "cancelled" in str(heard[0])
+
+
+def test_certificates_of_the_environment_are_not_for_links_within_this_machine(
+    near: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("QDGRASP_SECURITY", "/nowhere")
+    with qdgrasp.Evaluations(prior="approach", place=ONE, **SCENE) as evaluations:
+        assert len(evaluations.evaluate(near[:1])) == 1
+
+
+@pytest.fixture
+def secure(commands: Commands) -> qdgrasp.Place:
+    """A router to which links are encrypted, and one worker there."""
+    lab = SecurityFolder.create(commands.home / "lab", hosts=["127.0.0.1"], days=1)
+    gate = lab.add(Role.ROUTER, "gate", hosts=["127.0.0.1"], days=1)
+    endpoint = own_endpoint().replace("tcp/", "tls/")
+    router = commands.start("--listen", endpoint, "--security", gate, module="qdgrasp_coordinator.cli.router")
+    says(router, "listening")
+    return qdgrasp.Place(workers=1, connect=endpoint, security=lab.path)
+
+
+def test_encrypted_links_change_no_row_and_no_journal(
+    secure: qdgrasp.Place,
+    evaluations: qdgrasp.Evaluations,
+    near: np.ndarray,
+    mine: qdgrasp.Run,
+    tmp_path: Path,
+) -> None:
+    with qdgrasp.Evaluations(prior="approach", place=secure, **SCENE) as encrypted:
+        assert encrypted.evaluate(near).tobytes() == evaluations.evaluate(near).tobytes()
+    run = qdgrasp.optimise(Steps, tmp_path / "run", evaluations=140, prior="approach", place=secure, **SCENE)
+    assert digest_of(run.path) == digest_of(mine.path)
 
 
 # A search of one's own.
