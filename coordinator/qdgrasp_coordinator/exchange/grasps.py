@@ -59,7 +59,7 @@ class Grasp(NamedTuple):
     """0 to 1."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Grasps:
     """Evaluations of one scene, as arrays of n lines; a number takes one, a slice, mask or array several."""
 
@@ -76,6 +76,9 @@ class Grasps:
     """(n,): all columns of the journal; positions in the object's centre-of-mass frame."""
     eta: Floats
     """(n,): the estimated probability of transfer; NaN where not all trials of a success are there."""
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} grasps of {self.scene.gripper.name} on {self.scene.object.name}>"
 
     def __len__(self) -> int:
         return len(self.rows)

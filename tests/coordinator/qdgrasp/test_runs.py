@@ -74,6 +74,10 @@ def test_a_run_is_shown_as_it_was_opened(run: qdgrasp.Run) -> None:
     assert repr(run) == f"qdgrasp.open('{run.path}')"
 
 
+def test_grasps_are_shown_in_a_few_words(run: qdgrasp.Run) -> None:
+    assert repr(run.grasps(top=7)) == "<7 grasps of jaw on block>"
+
+
 def test_a_run_that_has_nothing_yet_has_no_rows(tmp_path: Path) -> None:
     empty = record(tmp_path / "empty", made_scene(), GIVEN.empty(0), method="given", evaluations=1)
     assert len(qdgrasp.open(empty.path).rows()) == 0
