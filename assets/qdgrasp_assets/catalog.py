@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.files import named_path, searched
+from qdgrasp_assets.files import A_FOLDER, NOT_THERE, amiss, named_path, searched
 from qdgrasp_assets.gripper import Gripper, read_gripper, read_gripper_file
 from qdgrasp_assets.mesh_file import check_file
 from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
@@ -77,7 +77,7 @@ def find_gripper(name: str) -> Gripper:
     if path.parent == GRIPPERS:
         return read_gripper(path, name, _gripper_source(name))
     own = read_gripper(path, path.stem, path.name)
-    own.check_masses()
+    own.check_hand()
     return own
 
 
@@ -143,7 +143,7 @@ def check_object(name: str) -> None:
     path = named_path(name)
     if name in ycb.SCANS:
         ycb.check_there(name)
-    elif name not in STAND_INS and path.is_dir():
+    elif name not in STAND_INS and amiss(path) == A_FOLDER:
         check_file(path)
     elif name not in STAND_INS and not _is_file(path):
         hint = f"Or name a mesh file, with its mass. Scans lie on the asset path ({searched()})."
@@ -197,4 +197,4 @@ def _gripper_source(name: str) -> str:
 
 def _is_file(path: Path) -> bool:
     """Whether a name means a file rather than an entry of the catalog."""
-    return bool(path.suffix) or len(path.parts) > 1 or path.is_file()
+    return bool(path.suffix) or len(path.parts) > 1 or amiss(path) != NOT_THERE

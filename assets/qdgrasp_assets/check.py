@@ -8,7 +8,7 @@ import msgspec
 
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.convex import parts_at_hand
-from qdgrasp_assets.files import named_path, searched
+from qdgrasp_assets.files import NOT_THERE, amiss, named_path, searched
 from qdgrasp_assets.hands.examination import Examination, examine
 from qdgrasp_assets.inspection import inspect
 from qdgrasp_assets.lock import pin
@@ -19,6 +19,7 @@ from qdgrasp_assets.scans import SCANS, differences, fetched_mesh, put_right, si
 from qdgrasp_assets.solid import read_draft
 from qdgrasp_assets.solidity import faults
 from qdgrasp_protocol.errors import QdgraspError, UnknownName
+from qdgrasp_protocol.phrases import counted
 
 GRIPPER_SUFFIX = ".toml"
 
@@ -61,7 +62,7 @@ def _check_of(name: str) -> Callable[[str], Report]:
         return _SCANS[ycb.source(name)]
     if is_gripper(name):
         return _gripper
-    if named_path(name).is_file():
+    if amiss(named_path(name)) != NOT_THERE:
         return _mesh_file
     known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
     raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
@@ -108,7 +109,12 @@ def _mesh_file(name: str) -> Report:
 
 
 def _of_mesh(name: str, mesh: Mesh, *more: str) -> Report:
-    facts = (f"{size(mesh.extents)} m", f"{len(mesh.faces)} triangles", f"{mesh.volume * 1e6:.2f} cm3", *more)
+    facts = (
+        f"{size(mesh.extents)} m",
+        counted(len(mesh.faces), "triangle"),
+        f"{mesh.volume * 1e6:.2f} cm3",
+        *more,
+    )
     return Report(name, tuple(fact for fact in facts if fact), faults(mesh))
 
 

@@ -1,11 +1,15 @@
 """Where assets lie: the folders of the asset path, what was fetched, and the cache."""
 
+import errno
 import os
+import stat
 from pathlib import Path
 
 ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
 DATA = "QDGRASP_DATA"
+NOT_THERE, A_FOLDER, SPECIAL = "does not exist", "is a folder", "is no ordinary file"
+"""What can be amiss with the place of a file, as the end of a sentence."""
 
 
 def named_path(name: str | Path) -> Path:
@@ -14,6 +18,23 @@ def named_path(name: str | Path) -> Path:
         return Path(name).expanduser()
     except RuntimeError:  # the home of somebody who is not there
         return Path(name)
+
+
+def amiss(path: Path) -> str:
+    """Why there is no ordinary file at a path, as the end of a sentence; empty where there is one.
+
+    A pipe is never waited for, and a device never read.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        is_absent = error.errno in (errno.ENOENT, errno.ENOTDIR)
+        return NOT_THERE if is_absent else f"cannot be looked at ({error.strerror})"
+    except ValueError:  # a name that no file can have
+        return NOT_THERE
+    if stat.S_ISREG(mode):
+        return ""
+    return A_FOLDER if stat.S_ISDIR(mode) else SPECIAL
 
 
 def asset_folders() -> tuple[Path, ...]:

@@ -13,7 +13,8 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.carrier import CARRIERS
-from qdgrasp_assets.files import on_asset_path, searched
+from qdgrasp_assets.files import amiss, on_asset_path, searched
+from qdgrasp_assets.hands.meshes import missing_meshes
 from qdgrasp_assets.hands.motion import kind_fault
 from qdgrasp_assets.hands.source import read_source
 from qdgrasp_assets.hands.weight import weight_faults
@@ -108,15 +109,16 @@ class Gripper:
     robot: Urdf
     """The whole URDF; the hand is its sub-tree from `base_link`."""
 
-    def check_masses(self) -> None:
-        """Check that the simulator takes the hand's masses as they are meant.
+    def check_hand(self) -> None:
+        """Check that the simulator finds the hand's meshes, and takes its masses as they are meant.
 
         Raises
         ------
         AssetError
-            It would make some up, refuse them, or hold a link still.
+            A mesh is missing or no ordinary file; masses are made up, refused, or hold a link still.
         """
-        found = weight_faults(self.robot.subtree(self.file.base_link).element)
+        hand = self.robot.subtree(self.file.base_link)
+        found = (*weight_faults(hand.element), *missing_meshes(hand))
         if found:
             raise AssetError(f"The URDF '{self.robot.path}' cannot be used as it is: {'; and '.join(found)}.")
 
@@ -225,8 +227,8 @@ def read_gripper_file(path: Path) -> GripperFile:
     UnknownKey, AssetError
         As in `read_gripper`.
     """
-    if path.exists() and not path.is_file():
-        raise AssetError(f"'{path}' is no ordinary file; name a gripper's TOML file.")
+    if why := amiss(path):
+        raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from qdgrasp_assets.files import A_FOLDER, amiss
 from qdgrasp_assets.mesh import Mesh
 from qdgrasp_protocol.errors import AssetError
 
@@ -78,15 +79,10 @@ def check_file(path: Path) -> None:
     Raises
     ------
     AssetError
-        It is a folder, not there, or has no bytes.
+        It is a folder, a pipe or a device, not there, or has no bytes.
     """
-    if path.is_dir():
-        raise AssetError(
-            f"'{path}' is a folder, and an object is one mesh file; `qdgrasp campaign --objects {path}` "
-            "takes every mesh in a folder."
-        )
-    if not path.is_file():
-        raise AssetError(f"No mesh file at '{path}'.")
+    if why := amiss(path):
+        raise AssetError(_of_folder(path) if why == A_FOLDER else _not_there(path, why))
     if not path.stat().st_size:
         raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
 
@@ -96,11 +92,13 @@ def _loaded(path: Path) -> Any:
     import trimesh
     from trimesh.exchange.load import mesh_formats
 
+    from qdgrasp_assets.beside import Beside
+
     kind = path.suffix.lower()
     if kind.removeprefix(".") not in mesh_formats():
         raise AssetError(_not_read(path, kind))
     try:
-        return trimesh.load_scene(path, process=False)
+        return trimesh.load_scene(path, process=False, resolver=Beside(str(path)))
     except ImportError:  # a package that guesses what damaged text was meant to be
         raise AssetError(
             f"The mesh '{path}' is damaged: it is no whole {kind} file; export it again, for example as STL."
@@ -110,6 +108,17 @@ def _loaded(path: Path) -> Any:
             f"The mesh '{path}' cannot be read as {kind}: {type(error).__name__}: {error}; export it again, "
             "for example as STL."
         ) from None
+
+
+def _of_folder(path: Path) -> str:
+    return (
+        f"'{path}' is a folder, and an object is one mesh file; `qdgrasp campaign --objects {path}` takes "
+        "every mesh in a folder."
+    )
+
+
+def _not_there(path: Path, why: str) -> str:
+    return f"No mesh file at '{path}': it {why}; name a file such as those that end with {', '.join(ALWAYS)}."
 
 
 def _not_read(path: Path, kind: str) -> str:

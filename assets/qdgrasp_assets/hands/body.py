@@ -133,10 +133,13 @@ def mesh_bytes(path: Path, name: str) -> bytes:
     Raises
     ------
     AssetError
-        It does not exist.
+        It does not exist, or cannot be read.
     """
     element = ET.Element("robot")
     link = ET.SubElement(element, "link", name="")
     ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "mesh", filename=name)
-    _, files = Urdf(path, element, (), ()).bundled()
+    try:
+        _, files = Urdf(path, element, (), ()).bundled()
+    except OSError as error:
+        raise AssetError(f"The mesh '{name}' of '{path}' cannot be read: {error.strerror}.") from None
     return next(iter(files.values()))

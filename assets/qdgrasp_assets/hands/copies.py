@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
+from qdgrasp_assets.files import amiss
 from qdgrasp_assets.hands.centring import centred
 from qdgrasp_assets.hands.mending import mend
 from qdgrasp_assets.hands.splitting import Tell
@@ -145,8 +146,10 @@ def _writing(urdf: Path) -> Iterator[None]:
 
 
 def _is_ours(urdf: Path) -> bool:
+    if amiss(urdf):
+        return False
     with urdf.open("rb") as stream:
-        return urdf.is_file() and stream.read(len(HEAD.encode())) == HEAD.encode()
+        return stream.read(len(HEAD.encode())) == HEAD.encode()
 
 
 def _holds_copies(folder: Path, urdf: Path) -> bool:

@@ -1,11 +1,11 @@
 """The collision shapes of a hand: whether the simulator can take them, in words."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import PurePosixPath
 
 import numpy as np
 
+from qdgrasp_assets.files import amiss
 from qdgrasp_assets.hands.body import collisions, corners_of, mesh_bytes
 from qdgrasp_assets.shapes import FORMS
 from qdgrasp_assets.stl import triangles
@@ -24,20 +24,27 @@ TAKEN = (".stl", ".obj", ".dae")
 
 def mesh_faults(hand: Urdf) -> tuple[str, ...]:
     """What keeps the shapes of a hand from being simulated; empty when nothing does."""
-    missing = tuple(_missing(hand))
+    missing = missing_meshes(hand)
     if missing:
         return missing
     return tuple(fault for link, shape in collisions(hand) if (fault := _fault(hand, link, shape)))
 
 
-def _missing(hand: Urdf) -> Iterator[str]:
-    for name, links in _references(hand).items():
-        try:
-            mesh_bytes(hand.path, name)
-        except AssetError:
-            yield (
-                f"the mesh '{name}' of the link{'s' * (len(links) > 1)} {_quoted(links)} {_where(hand, name)}"
-            )
+def missing_meshes(hand: Urdf) -> tuple[str, ...]:
+    """The mesh files of a hand, of visual shapes too, that are not there or cannot be read, in words."""
+    return tuple(
+        f"the mesh '{name}' of the link{'s' * (len(links) > 1)} {_quoted(links)} {_where(hand, name)}"
+        for name, links in _references(hand).items()
+        if not _can_be_read(hand, name)
+    )
+
+
+def _can_be_read(hand: Urdf, name: str) -> bool:
+    try:
+        mesh_bytes(hand.path, name)
+    except AssetError:
+        return False
+    return True
 
 
 def _references(hand: Urdf) -> dict[str, list[str]]:
@@ -56,9 +63,10 @@ def _quoted(names: list[str]) -> str:
 
 
 def _where(hand: Urdf, name: str) -> str:
-    """Where a mesh that is missing should be, and what to do."""
+    """Why a mesh cannot be read, where it should be, and what to do."""
     if not name.startswith(PACKAGE):
-        return f"does not exist: it should be at '{hand.path.parent / name.removeprefix('file://')}'"
+        place = hand.path.parent / name.removeprefix("file://")
+        return f"{amiss(place) or 'cannot be read'}: there should be a mesh file at '{place}'"
     package, _, rest = name.removeprefix(PACKAGE).partition("/")
     return (
         f"is not found: a folder '{package}' with '{rest}' is looked for above the URDF, beside one of the "

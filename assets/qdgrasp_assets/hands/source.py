@@ -4,6 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+from qdgrasp_assets.files import amiss
 from qdgrasp_protocol.errors import AssetError
 
 XACRO = re.compile(r"\{http[^}]*xacro\}|xacro:")
@@ -44,8 +45,8 @@ def read_source(path: Path) -> ET.Element:
 
 
 def _text(path: Path) -> str:
-    if path.exists() and not path.is_file():
-        raise AssetError(f"'{path}' is no ordinary file; name the robot's .urdf file.")
+    if why := amiss(path):
+        raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.files import named_path
+from qdgrasp_assets.files import amiss, named_path
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.counts.goals import Goals
@@ -38,7 +38,7 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
 def located(name: Any) -> Any:
     """A gripper or object: a file as its absolute path, anything else as it is."""
     path = named_path(name) if isinstance(name, str) else Path()
-    return str(path.resolve()) if path.suffix and path.is_file() else name
+    return str(path.resolve()) if path.suffix and not amiss(path) else name
 
 
 def default_name(spec: RunSpec) -> str:

@@ -1,9 +1,9 @@
 """Everything that can be wrong with a hand's URDF or file is told in words, and all of it at once."""
 
-import numpy as np
 import pytest
 import trimesh
-from tests.assets.hands import jaw
+from tests.assets.hands import arched, jaw
+from tests.assets.places import PLACES, make_places
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.hands.examination import examine, examine_urdf
@@ -182,18 +182,25 @@ def test_a_mesh_that_the_simulator_cannot_read_is_told(jaw_toml, jaw_urdf, edit,
     assert sentence in faults(jaw_toml)[0]
 
 
+@pytest.mark.parametrize("name", [*PLACES, "x" * 300 + ".stl"])
+@pytest.mark.parametrize("tag", ["collision", "visual"])
+def test_a_mesh_that_is_no_ordinary_file_is_told_by_a_check_and_a_run(jaw_toml, jaw_urdf, edit, name, tag):
+    make_places(jaw_urdf.parent)
+    mesh = f'<{tag}><geometry><mesh filename="{name}"/></geometry></{tag}></link>'
+    edit(jaw_urdf, "</link>", mesh)
+    (fault,) = faults(jaw_toml)
+    assert f" {PLACES.get(name, 'cannot be looked at (File name too long)')}: there should be a mesh" in fault
+    with pytest.raises(AssetError) as error:
+        build_scene(RunSpec(gripper=str(jaw_toml), object="mug"))
+    assert fault in str(error.value)
+
+
 def test_a_hollow_mesh_is_noted(jaw_toml, jaw_urdf, edit):
-    arch = trimesh.util.concatenate([trimesh.creation.box(bounds=bounds) for bounds in ARCH])
-    arch.export(jaw_urdf.parent / "arch.stl")
+    arched.write_arch(jaw_urdf.parent / "arch.stl")
     edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
     (note,) = examine(jaw_toml, "jaw").notes
     assert "wraps each collision mesh in its convex hull" in note
     assert "left " in note
-
-
-ARCH = 0.001 * np.array(
-    [[(-10, -5, -30), (-5, 5, 30)], [(5, -5, -30), (10, 5, 30)], [(-10, -5, 30), (10, 5, 35)]]
-)
 
 
 @pytest.mark.parametrize(

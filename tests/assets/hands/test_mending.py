@@ -1,9 +1,10 @@
 """A mended copy of a hand can be used, and says what was done to it."""
 
-import numpy as np
+import os
+
 import pytest
 import trimesh
-from tests.assets.hands import jaw
+from tests.assets.hands import arched, jaw
 
 from qdgrasp_assets.hands.copies import mended_copy, mended_meshes, mended_urdf, write_copy
 from qdgrasp_assets.hands.draft import Told, draft
@@ -19,9 +20,6 @@ EYE = (
 )
 FINGER = f'<collision><origin xyz="0 0 0.03"/><geometry>{BOX}</geometry></collision>'
 SOLID = trimesh.creation.box((0.02, 0.01, 0.06))
-ARCH = 0.001 * np.array(
-    [[(-10, -5, -30), (-5, 5, 30)], [(5, -5, -30), (10, 5, 30)], [(-10, -5, 30), (10, 5, 35)]]
-)
 
 
 def mended(urdf, *, may_centre=True):
@@ -98,8 +96,7 @@ def test_a_mesh_in_millimetres_is_written_in_metres(jaw_urdf, edit):
 
 
 def test_a_hollow_mesh_is_split_into_parts_that_leave_its_room(jaw_urdf, edit):
-    parts = [trimesh.creation.box(bounds=bounds) for bounds in ARCH]
-    trimesh.util.concatenate(parts).export(jaw_urdf.parent / "arch.stl")
+    arched.write_arch(jaw_urdf.parent / "arch.stl")
     edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
     copy = mended(jaw_urdf)
     assert "was split into" in copy.changes[0]
@@ -152,6 +149,12 @@ def test_a_urdf_of_somebody_else_is_not_replaced(jaw_urdf):
     with pytest.raises(AssetError, match=r"own_mended\.urdf' was not written by --mend"):
         mended(jaw_urdf)
     assert own.read_text() == "mine"
+
+
+def test_a_pipe_in_the_place_of_a_copy_is_not_waited_for(jaw_urdf):
+    os.mkfifo(mended_urdf(jaw_urdf.parent / "own.toml"))
+    with pytest.raises(AssetError, match=r"own_mended\.urdf' was not written by --mend"):
+        mended(jaw_urdf)
 
 
 def test_a_copy_is_not_made_of_what_it_would_replace(jaw_urdf, edit):

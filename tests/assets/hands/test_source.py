@@ -55,7 +55,7 @@ def test_what_is_no_urdf_is_told_for_what_it_is(tmp_path, name, content, sentenc
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path):
-    with pytest.raises(AssetError, match=r"No URDF can be read at '.*hand.urdf': No such file"):
+    with pytest.raises(AssetError, match=r"No URDF can be read at '.*hand.urdf': it does not exist; name"):
         read_source(tmp_path / "hand.urdf")
 
 
@@ -63,5 +63,5 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "hand.urdf")
     os.mkfifo(tmp_path / "hand.toml")
     for read, name in ((read_source, "hand.urdf"), (read_gripper_file, "hand.toml")):
-        with pytest.raises(AssetError, match=f"{name}' is no ordinary file"):
+        with pytest.raises(AssetError, match=f"{name}': it is no ordinary file; name"):
             read(tmp_path / name)
