@@ -2,8 +2,9 @@
 
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -19,6 +20,8 @@ from qdgrasp_protocol.errors import AssetError
 
 MUCH = 0.1
 """A link is hollow where its hull fills the room in front of this share of its surface."""
+ALIKE = 0.001
+"""Up to this share two volumes are taken for equal."""
 SPACE = 3
 """Dimensions."""
 
@@ -41,9 +44,17 @@ def hollows(hand: Urdf) -> Iterator[Hollow]:
         if mesh is None or shape.get(CONCAVE) is not None:
             continue
         parts = tuple(hull(corners) for corners in corners_of(hand, link, shape) if is_solid(corners))
-        filled = Room(read_shape(hand, shape, mesh)).fit(parts).filled if parts else 0.0
+        surface = read_shape(hand, shape, mesh)
+        if not parts or are_all_of(surface, parts):
+            continue
+        filled = Room(surface).fit(parts).filled
         if filled > MUCH:
             yield Hollow(link, mesh.get("filename", ""), filled)
+
+
+def are_all_of(mesh: Mesh, hulls: Sequence[Mesh]) -> bool:
+    """Whether a mesh is nothing but these convex parts: it has no room that they could fill."""
+    return isclose(sum(part.volume for part in hulls), mesh.volume, rel_tol=ALIKE)
 
 
 def read_shape(hand: Urdf, shape: ET.Element, element: ET.Element) -> Mesh:
