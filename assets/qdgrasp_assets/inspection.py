@@ -7,10 +7,12 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.convex import TIME_LIMIT, Tell, collision_parts, quietly
+from qdgrasp_assets.findings import Findings
+from qdgrasp_assets.gaps import apart
 from qdgrasp_assets.mesh import Floats, Mesh
 from qdgrasp_assets.room import Room
 from qdgrasp_assets.solid import Draft
-from qdgrasp_assets.solidity import Edges, apart, body_volumes
+from qdgrasp_assets.solidity import Edges, body_volumes
 from qdgrasp_assets.surface import POINTS_PER_METRE
 from qdgrasp_assets.units import in_words
 from qdgrasp_protocol.errors import AssetError
@@ -46,10 +48,9 @@ class Convex(Struct, frozen=True, kw_only=True):
         )
 
 
-class Inspection(Struct, frozen=True, kw_only=True):
+class Inspection(Findings, frozen=True, kw_only=True):
     """What was found of a mesh file."""
 
-    name: str
     scale: float
     """Metres to a unit of the file."""
     extents: Vector
@@ -77,15 +78,6 @@ class Inspection(Struct, frozen=True, kw_only=True):
     """None also where they were not asked for."""
     repairs: tuple[str, ...] = ()
     """What was done to the mesh before all this was measured."""
-    notes: tuple[str, ...] = ()
-    """What is worth a thought."""
-    faults: tuple[str, ...] = ()
-    """Why it cannot be used; empty where it can."""
-
-    @property
-    def table(self) -> str:
-        """All of it, one fact to a line."""
-        return "\n".join(f"{label:<16} {words}" for label, words in self._lines())
 
     @property
     def facts(self) -> tuple[str, ...]:
@@ -111,8 +103,6 @@ class Inspection(Struct, frozen=True, kw_only=True):
             yield "convex parts", self.convex.words if self.convex else "not looked for"
         repairs = self.repairs or (() if self.faults else ("nothing had to be",))
         yield from (("repaired", words) for words in repairs)
-        yield from (("note", words) for words in self.notes)
-        yield from (("WRONG", words) for words in self.faults)
 
     @property
     def _mass(self) -> str:

@@ -13,6 +13,8 @@ FAR = 1.0
 """A mesh is far from its origin from here on [m]."""
 DEEPEST = 256
 """So many triangles of a ray are counted, at most."""
+SKEW = np.array([0.5403, 0.2919, 0.7891])
+"""A direction along which no drawing has its edges."""
 
 
 def ahead(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.float32]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.mesh import Mesh
-from qdgrasp_assets.rays import within
+from qdgrasp_assets.rays import SKEW, within
 from qdgrasp_assets.solidity import Edges, Numbers, bodies, body_volumes, middle, place, width
 
 TOUCHING = 1e-5
@@ -116,10 +116,6 @@ def inverted(mesh: Mesh) -> NDArray[np.bool_]:
     for body in np.flatnonzero(wrong).tolist() if len(wrong) > 1 else ():
         wrong[body] = not _is_within_another(mesh, bodies(mesh), body)
     return wrong
-
-
-SKEW = np.array([0.5403, 0.2919, 0.7891])
-"""A direction along which no drawing has its edges."""
 
 
 def _is_within_another(mesh: Mesh, labels: Numbers, body: int) -> bool:

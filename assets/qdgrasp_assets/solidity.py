@@ -11,8 +11,6 @@ from qdgrasp_assets.units import LARGEST, SMALLEST, advice
 
 FLATTEST = 1e-12
 """A closed mesh with less volume has no inside [m3]."""
-MEETING = 1e-3
-"""Bodies with no more room between the boxes around them belong together [m]."""
 MOST = 500_000
 """Triangles of an object, at most: they travel to every worker, and are looked at one by one."""
 
@@ -117,44 +115,6 @@ def bodies(mesh: Mesh) -> Numbers:
 def body_volumes(mesh: Mesh) -> Floats:
     """(b,) [m3]: the volume of each body; negative of one that is inside out, such as a hollow."""
     return np.bincount(bodies(mesh), weights=mesh.cone_volumes).astype(np.float64)
-
-
-def apart(mesh: Mesh) -> str:
-    """What is said of bodies that are apart; empty where none are."""
-    room = gap(mesh)
-    if not room:
-        return ""
-    return (
-        f"it is of bodies with {room:.4f} m of air between them, and an object is one rigid thing: "
-        "give each a file of its own, or say with --glued that they are moved as one"
-    )
-
-
-def gap(mesh: Mesh) -> float:
-    """The room [m] between bodies that are apart: from the first, and all whose boxes meet, to the next.
-
-    0 where the boxes around all bodies meet, as those of an assembly do.
-    """
-    low, high = _boxes(mesh)
-    away = np.full(len(low), np.inf)
-    reached, waiting = np.arange(len(low)) == 0, [0]
-    while waiting:
-        body = waiting.pop()
-        room = np.maximum(low - high[body], low[body] - high).clip(min=0.0)
-        away = np.minimum(away, np.linalg.norm(room, axis=1))
-        found = (away <= MEETING) & ~reached
-        reached |= found
-        waiting += np.flatnonzero(found).tolist()
-    return 0.0 if reached.all() else float(away[~reached].min())
-
-
-def _boxes(mesh: Mesh) -> tuple[Floats, Floats]:
-    """The lowest and the highest corner (b, 3) [m] of the box around each body."""
-    labels = bodies(mesh)
-    low, high = (np.full((labels.max() + 1, 3), end) for end in (np.inf, -np.inf))
-    np.minimum.at(low, labels, mesh.corners.min(axis=1))
-    np.maximum.at(high, labels, mesh.corners.max(axis=1))
-    return low, high
 
 
 def _connected(pairs: Numbers, count: int) -> Numbers:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.convex import collision_parts
+from qdgrasp_assets.gaps import gap
 from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj
 from qdgrasp_assets.scene import SceneObject, Vector
 from qdgrasp_assets.solid import read_solid
@@ -87,7 +88,7 @@ def read_target(path: Path, mass: float | None, scale: float | None = None) -> T
     mesh = read_solid(path, scale)
     if room := gap(mesh):
         log.warning(
-            "Bodies of '%s' with %.4f m of air between them are moved as one rigid object.", path, room
+            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, room
         )
     if mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")

@@ -9,7 +9,6 @@ import pytest
 import trimesh
 
 from qdgrasp_assets.solid import read_draft, read_solid
-from qdgrasp_assets.solidity import gap
 from qdgrasp_assets.target import read_target
 from qdgrasp_protocol.errors import AssetError
 
@@ -64,16 +63,7 @@ def test_a_run_of_bodies_that_are_apart_says_so(tmp_path, caplog):
     path = write(tmp_path / "pair.stl", trimesh.util.concatenate([block(), block(0.1, 0, 0)]))
     with caplog.at_level(logging.WARNING), pytest.raises(AssetError, match="has no mass"):
         read_target(path, None)
-    assert "with 0.0800 m of air between them are moved as one rigid object" in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("shifts", "room"),
-    [((0.0,), 0.0), ((0.0, 0.02), 0.0), ((0.0, 0.05, 0.0705), 0.03), ((0.0, 0.04, 0.02), 0.0)],
-)
-def test_the_room_between_bodies_is_found_in_any_order(tmp_path, shifts, room):
-    path = write(tmp_path / "row.stl", trimesh.util.concatenate([block(x, 0, 0) for x in shifts]))
-    assert gap(read_solid(path)) == pytest.approx(room, abs=1e-6)
+    assert "with about 0.08 m of air between them are moved as one rigid object" in caplog.text
 
 
 def test_several_geometries_of_a_scene_are_one_object_where_they_stand(tmp_path):

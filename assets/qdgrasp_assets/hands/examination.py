@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from msgspec import Struct
 
+from qdgrasp_assets.findings import Findings
 from qdgrasp_assets.gripper import Gripper, GripperFile, gripper_faults, read_gripper_file, urdf_path
 from qdgrasp_assets.hands.base import guess_base
 from qdgrasp_assets.hands.body import Body, read_body
@@ -26,10 +26,9 @@ from qdgrasp_protocol.errors import AssetError, QdgraspError
 NOTHING = Told()
 
 
-class Examination(Struct, frozen=True, kw_only=True):
+class Examination(Findings, frozen=True, kw_only=True):
     """What was found of a hand."""
 
-    name: str
     urdf: str = ""
     base_link: str = ""
     licence: str = ""
@@ -46,15 +45,6 @@ class Examination(Struct, frozen=True, kw_only=True):
     """Sides of the box around the open hand, base link's frame [m]."""
     parts: int = 0
     """Convex parts that the simulator makes of the collision shapes."""
-    notes: tuple[str, ...] = ()
-    """What is worth a thought."""
-    faults: tuple[str, ...] = ()
-    """Why it cannot be used; empty where it can."""
-
-    @property
-    def table(self) -> str:
-        """All of it, one fact to a line."""
-        return "\n".join(f"{label:<16} {words}" for label, words in self._lines())
 
     @property
     def facts(self) -> tuple[str, ...]:
@@ -79,8 +69,6 @@ class Examination(Struct, frozen=True, kw_only=True):
             yield "size", f"{' x '.join(f'{side:.4f}' for side in self.extents)} m, open"
             yield "mass", f"{self.mass:.4g} kg"
             yield "shapes", f"{self.parts} convex parts"
-        yield from (("note", words) for words in self.notes)
-        yield from (("WRONG", words) for words in self.faults)
 
 
 def examine(path: Path, name: str) -> Examination:

@@ -94,12 +94,20 @@ def test_two_bodies_that_are_apart_are_one_object_only_if_that_is_said(check):
     trimesh.util.concatenate([block(), block().apply_translation((0.05, 0, 0))]).export("two.stl")
     done = check("two.stl", "--mass", 0.1, "--no-parts")
     assert isinstance(done.exception, AssetError)
-    assert "WRONG            it is of bodies with 0.0300 m of air between them" in done.stdout
+    assert "WRONG            it is of bodies with about 0.03 m of air between them" in done.stdout
     assert "or say with --glued that they are moved as one" in done.stdout
     done = check("two.stl", "--mass", 0.1, "--no-parts", "--glued")
     assert done.exit_code == 0
     assert "bodies           2" in done.stdout
     assert "its 2 bodies are moved as one rigid object, as if they were glued" in done.stdout
+
+
+def test_a_rod_that_floats_in_a_ring_is_an_object_of_its_own(check):
+    rod, ring = trimesh.creation.cylinder(0.01, 0.1), trimesh.creation.annulus(0.015, 0.03, 0.02)
+    trimesh.util.concatenate([rod, ring]).export("bearing.stl")
+    done = check("bearing.stl", "--mass", 0.1, "--no-parts")
+    assert "it is of bodies with about 0.005 m of air between them" in done.stdout
+    assert check("bearing.stl", "--mass", 0.1, "--no-parts", "--glued").exit_code == 0
 
 
 @pytest.mark.parametrize("shift", [0.02, 0.0205])
