@@ -11,7 +11,6 @@ from qdgrasp_assets.gaps import gap
 from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj
 from qdgrasp_assets.scene import SceneObject, Vector
 from qdgrasp_assets.solid import read_solid
-from qdgrasp_assets.solidity import gap
 from qdgrasp_protocol.errors import AssetError
 
 log = logging.getLogger(__name__)
