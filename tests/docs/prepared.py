@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from tests.assets.hands import jaw
+from tests.assets.hands import arched, jaw
 from tests.docs.blocks import ROOT
 from tests.system.commands import Commands
 
@@ -181,6 +181,8 @@ MAKERS: dict[str, Maker] = {
     "all": runs,
     "S_G_panda_2f.npz": reference("runs/cube"),
     "S_G_part.npz": reference("runs/part-s0"),
+    "arch.stl": lambda _, path: arched.write_arch(path),
+    "arched.urdf": lambda _, path: path.write_text(arched.URDF) and None,
     "bracket.stl": bracket,
     "deploy": campaigns,
     "examples": lambda _, path: shutil.copytree(ROOT / "examples", path) and None,
@@ -210,7 +212,11 @@ MAKERS: dict[str, Maker] = {
     "spec.toml": lambda _, path: path.write_text(SPEC) and None,
 }
 """By the name that the pages give it."""
-BESIDE = {"my_hand.toml": ("my_hand.urdf",), "runs/part": ("part.stl",)}
+BESIDE = {
+    "arched.urdf": ("arch.stl",),
+    "my_hand.toml": ("my_hand.urdf",),
+    "runs/part": ("part.stl",),
+}
 """What comes with it."""
 
 
