@@ -7,6 +7,7 @@ import typer
 
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.watching.telling import telling
 
 
 def export(
@@ -45,8 +46,8 @@ def export(
     """
     from qdgrasp_coordinator.exchange.exporting import export as export_run  # takes its time to load
 
-    typer.echo(
-        export_run(
+    with telling() as tell:
+        written = export_run(
             RunFolder.open(directory),
             out,
             name,
@@ -56,5 +57,6 @@ def export(
             frame=frame,
             negatives=negatives,
             force=force,
+            tell=tell,
         )
-    )
+    typer.echo(written)

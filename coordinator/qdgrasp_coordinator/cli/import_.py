@@ -9,13 +9,11 @@ import typer
 from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.watching.telling import telling
 from qdgrasp_protocol.spec import RunSpec
 
 if TYPE_CHECKING:
     from qdgrasp_coordinator.exchange.importing import Imported
-
-LARGE = 1 << 24
-"""Bytes of a file that takes its time, which is then said."""
 
 
 def import_(
@@ -48,10 +46,10 @@ def import_(
 
     disk.check_file(out, force=force)
     metres = scale_of(units, scale)
-    if file.is_file() and file.stat().st_size > LARGE:
-        typer.echo(f"reading {file}, {file.stat().st_size >> 20} MiB", err=True)
     told_in = None if frame is None else frame_of(frame)
-    found = read_grasps(file, hand_of(gripper), thing_of(object_, metres), told_in)
+    with telling() as tell:
+        tell(f"reading {file}")
+        found = read_grasps(file, hand_of(gripper), thing_of(object_, metres), told_in)
     flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
     flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
     found.write(out)

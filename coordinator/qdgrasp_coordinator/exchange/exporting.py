@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from qdgrasp_assets.convex import Tell, quietly
 from qdgrasp_coordinator.exchange.about import about
 from qdgrasp_coordinator.exchange.choosing import choose
 from qdgrasp_coordinator.exchange.frames import frame_of
@@ -26,6 +27,7 @@ def export(
     frame: str = "mesh",
     negatives: int | None = None,
     force: bool = False,
+    tell: Tell = quietly,
 ) -> str:
     """Write the chosen grasps of a run in the format of that name.
 
@@ -41,6 +43,8 @@ def export(
         How many failures are written behind the grasps, at most; None: as many as is usual in the format.
     force
         Whether `out` may be replaced.
+    tell
+        Hears what is begun with.
 
     Returns
     -------
@@ -55,12 +59,15 @@ def export(
     form, told_in = format_of(name), frame_of(frame)
     wanted = _negatives(form, negatives)
     check_free(out, form, force=force)
+    tell(f"reading {folder.path}")
     every = read_grasps(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
+    tell(f"choosing from {len(every)} evaluations")
     chosen = choose(every, min_fitness, top, diverse)
     if not len(chosen):
         raise InputError(_nothing(folder, every, min_fitness))
     failures = _failures(every, chosen, wanted)
     written = joined([chosen, failures])
+    tell(f"writing {len(written)} evaluations to {out}")
     write(out, form, written, about(folder, written, told_in))
     beside = f" and {len(failures)} failures" if wanted else ""
     return f"{len(chosen)} grasps{beside} written to {out}, poses in the object's {told_in} frame."

@@ -1,6 +1,7 @@
 """`qdgrasp import`: poses for `qdgrasp evaluate`, and nothing replaced unasked."""
 
 import os
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -62,13 +63,12 @@ def test_what_is_no_ordinary_file_is_not_replaced_even_by_force(tmp_path: Path) 
     assert (tmp_path / "link").is_symlink()
 
 
-def test_of_a_large_file_it_is_said_that_it_is_being_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("qdgrasp_coordinator.cli.import_.LARGE", 100)
+def test_it_is_told_what_is_being_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr("qdgrasp_coordinator.cli.import_.telling", lambda: nullcontext(told.append))
     (tmp_path / "f.yaml").write_text(ISAAC)
     done = command(tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "p.npz")
-    assert done.stderr == f"reading {tmp_path / 'f.yaml'}, 0 MiB\n"
+    assert (done.exit_code, told) == (0, [f"reading {tmp_path / 'f.yaml'}"])
 
 
 def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,19 @@ def test_the_command_writes_a_file_and_says_what_is_in_it(run: RunFolder, tmp_pa
     assert said.stdout.startswith("4 grasps")
     assert said.stdout.endswith(f"written to {out}, poses in the object's mesh frame.\n")
     assert out.is_dir() == (name == "graspgen")
+
+
+def test_it_is_told_what_is_begun_with(
+    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr("qdgrasp_coordinator.cli.export.telling", lambda: nullcontext(told.append))
+    assert command(run.path, "--format", "csv", "-o", tmp_path / "out").exit_code == 0
+    assert told == [
+        f"reading {run.path}",
+        "choosing from 6 evaluations",
+        f"writing 4 evaluations to {tmp_path / 'out'}",
+    ]
 
 
 @each_format
