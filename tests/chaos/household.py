@@ -11,6 +11,7 @@ from tests.chaos.plan import HEAD
 from tests.chaos.process import Process
 from tests.chaos.slow_simulator import PACE
 from tests.endpoints import own_endpoint
+from tests.patience import PATIENCE
 from tests.system.commands import rows_recorded
 
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -18,7 +19,6 @@ from qdgrasp_coordinator.runs.preparation import make_bundle
 from qdgrasp_protocol.spec import RunSpec
 
 JOB = "chaos"
-FAREWELL = 10.0  # seconds that everybody may take to stop, on a busy machine
 
 
 class Household:
@@ -97,7 +97,7 @@ class Household:
         for member in self:
             member.send(signal.SIGCONT)
             member.send(signal.SIGTERM)
-        deadline = time.monotonic() + FAREWELL
+        deadline = time.monotonic() + PATIENCE
         while any(member.is_there for member in self) and time.monotonic() < deadline:
             time.sleep(0.02)  # between two looks
         late = [member.name for member in self if member.is_there]

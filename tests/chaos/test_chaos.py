@@ -18,9 +18,9 @@ COURSE = Course("contact_rand", "paper", 60, PACE)
 
 
 @pytest.mark.timeout(600)
-def test_a_disturbed_run_gives_what_an_undisturbed_one_gives(tmp_path: Path) -> None:
+def test_a_disturbed_run_gives_what_an_undisturbed_one_gives(tmp_path: Path, undisturbed: Path) -> None:
     spec = COURSE.spec(SEED, EVALUATIONS)
-    expected = undisturbed_digest(spec, tmp_path / "undisturbed")
+    expected = undisturbed_digest(spec, undisturbed)
     plan = islice(blows(SEED, WORKERS, GAPS), opening(WORKERS))
     story = disturb(tmp_path / "run", spec, plan, workers=WORKERS, pace=PACE, limit=300, say=print)
     assert story.troubles == []

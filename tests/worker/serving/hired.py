@@ -17,7 +17,7 @@ from qdgrasp_worker.serving.service import WorkerService
 from qdgrasp_worker.serving.simulator import Simulator
 from qdgrasp_worker.serving.workshop import Workshop
 
-GRACE = 20.0
+GRACE = PATIENCE
 """Long: what is finished within it is not a matter of how busy this machine is."""
 
 

@@ -1,14 +1,15 @@
 """A simulator with an evaluator that does what a genome says: the process, its line and its limits are real.
 
-`python -m tests.worker.serving.stand_in [LOG]`; LOG hears the number of every row that is begun.
+`python -m tests.worker.serving.stand_in [LOG]`; LOG hears the number of every row that is begun. Rows that
+wait do so until there is a file `go_on` beside LOG.
 """
 
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
-from time import monotonic
 
 import numpy as np
 from tests.worker.serving.batches import GENES
@@ -31,9 +32,20 @@ def hang() -> None:
 
 def dawdle() -> None:
     """Take longer than the interval after which a simulator tells what it knows."""
-    began = monotonic()
-    while monotonic() < began + 2 * TELL_INTERVAL:
+    began = time.monotonic()
+    while time.monotonic() < began + 2 * TELL_INTERVAL:
         pass
+
+
+def wait() -> None:
+    """Take until the test wants it to go on."""
+    while not go_on(Path(sys.argv[1])).exists():
+        time.sleep(0.005)  # between two looks
+
+
+def go_on(log: Path) -> Path:
+    """The file that rows wait for, by the log of their simulator."""
+    return log.with_name("go_on")
 
 
 def sleep() -> None:
@@ -66,9 +78,10 @@ DEEDS: list[Callable[[], object]] = [
     lambda: os.kill(os.getpid(), signal.SIGKILL),
     lambda: os._exit(3),
     dawdle,
+    wait,
 ]
 """By the second gene."""
-NOTHING, ABORT, HANG, SLEEP, RAISE, LEAK, TAKE_EVERYTHING, BE_KILLED, EXIT, DAWDLE = range(len(DEEDS))
+NOTHING, ABORT, HANG, SLEEP, RAISE, LEAK, TAKE_EVERYTHING, BE_KILLED, EXIT, DAWDLE, WAIT = range(len(DEEDS))
 
 
 class StandIn:

@@ -25,11 +25,22 @@ def network() -> LocalNetwork:
 
 
 @pytest.fixture
-def hire(network: LocalNetwork) -> Iterator[Callable[..., Hired]]:
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "rows"
+
+
+@pytest.fixture
+def go_on(log: Path) -> Callable[[], None]:
+    """Lets rows that wait go on."""
+    return stand_in.go_on(log).touch
+
+
+@pytest.fixture
+def hire(network: LocalNetwork, log: Path) -> Iterator[Callable[..., Hired]]:
     hired: list[Hired] = []
 
     def hire(job: str | None = None, grace: float = GRACE) -> Hired:
-        hired.append(Hired(network.session(), job, grace))
+        hired.append(Hired(network.session(), job, grace, [*stand_in.COMMAND, str(log)]))
         return hired[-1]
 
     yield hire
@@ -125,13 +136,14 @@ def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(hire, open_office
     assert worker.ended()
 
 
-def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(hire, open_office):
+def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(hire, open_office, go_on):
     office = open_office()
     worker = hire()
-    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(6)}
-    office.give(work(0), work(1, n=6, **dawdle), work(2), work(3))
+    office.give(work(0), work(1, n=2, row_0=stand_in.DAWDLE, row_1=stand_in.WAIT), work(2), work(3))
     office.wait(lambda: office.results, "a result")
     worker.leave()
+    office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
+    go_on()
     assert worker.ended()
     last = office.joins[-1]
     assert last.credit == 0
@@ -162,14 +174,15 @@ def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(hire, open
     assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
 
 
-def test_a_second_sigterm_takes_nothing_from_the_grace(hire, open_office):
+def test_a_second_sigterm_takes_nothing_from_the_grace(hire, open_office, go_on):
     office = open_office()
     worker = hire()
-    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(6)}
-    office.give(work(1, n=6, **dawdle))
+    office.give(work(1, n=2, row_0=stand_in.DAWDLE, row_1=stand_in.WAIT))
     office.wait(lambda: office.signs, "a sign of progress")
     for _ in range(2):
         worker.leave(signal.SIGTERM)
+    office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
+    go_on()
     assert worker.ended()
     assert office.answered() == [1]
 
@@ -183,13 +196,13 @@ def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_offic
     assert worker.ended()
 
 
-def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(hire, open_office):
+def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(hire, open_office, go_on):
     office = open_office()
     worker = hire()
-    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(10)}
-    office.give(work(1, n=10, **dawdle))
+    office.give(work(1, n=2, row_0=stand_in.DAWDLE, row_1=stand_in.WAIT))
     office.wait(lambda: office.signs, "a sign of progress")
     os.kill(worker.simulators[0].pid, signal.SIGKILL)
+    go_on()
     office.wait(lambda: office.results, "a result")
     assert [join.held for join in office.joins[1:]].count([]) >= 1
     assert office.answered() == [1]
@@ -239,12 +252,13 @@ def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(hire, op
     assert [entry["dropped"] for entry in logs if entry["event"] == "dropped a message"] == [1, 2]
 
 
-def test_a_batch_that_is_taken_back_is_not_answered(hire, open_office):
+def test_a_batch_that_is_taken_back_is_not_answered(hire, open_office, go_on):
     office = open_office()
     hire()
-    office.give(work(1, n=5, row_0=stand_in.DAWDLE), work(2), work(3))
+    office.give(work(1, n=5, row_0=stand_in.WAIT), work(2), work(3))
     office.wait(lambda: office.fetched, "its beginning")
     office.control(work(1))
+    go_on()
     office.wait(lambda: 3 in office.answered(), "the third")
     assert office.answered() == [2, 3]
 
@@ -303,14 +317,16 @@ def test_a_scene_that_is_larger_than_one_can_be_fails_its_batches(hire, open_off
     }
 
 
-def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office):
+def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office, go_on):
     office = open_office()
     worker = hire()
-    dawdle = {f"row_{row}": stand_in.DAWDLE for row in range(10)}
-    office.give(work(1, n=10, **dawdle))
+    office.give(work(1, n=2, row_0=stand_in.DAWDLE, row_1=stand_in.WAIT))
     office.wait(lambda: office.fetched, "its beginning")
+    joins = len(office.joins)
     worker.bus.cut()
     worker.bus.mend()
+    office.wait(lambda: len(office.joins) > joins, "another join")
+    go_on()
     office.wait(lambda: office.results, "a result")
     assert office.joins[-1].held == [work(1).batch]
 

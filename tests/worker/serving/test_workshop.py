@@ -3,7 +3,8 @@
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from math import inf
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -16,13 +17,15 @@ from tests.worker.serving import stand_in
 from tests.worker.serving.batches import work
 
 from qdgrasp_protocol.messages import Result, Work
+from qdgrasp_worker.serving import workshop
 from qdgrasp_worker.serving.frames import Settings
 from qdgrasp_worker.serving.limits import PROBE_SECONDS, STALL
 from qdgrasp_worker.serving.simulator import News, Simulator
 from qdgrasp_worker.serving.task import Task
 from qdgrasp_worker.serving.workshop import NoSimulator, Workshop
 
-ROW_SECONDS = 0.4
+BRISK = 0.4
+"""CPU seconds of a row, a tenth of the longest silence, in tests of these limits; else rows have PATIENCE."""
 MEGABYTE = 1_000_000
 SCENE = b"a scene"
 PROBE_FOR_EVER = """
@@ -35,12 +38,12 @@ child.main(probe=signal.pause)
 class Hands:
     """Puts batches into a workshop, and waits for what comes of them."""
 
-    def __init__(self, command: list[str]) -> None:
+    def __init__(self, command: list[str], row_seconds: float = PATIENCE) -> None:
         self.inbox: SimpleQueue[News] = SimpleQueue()
         self.hired: list[Simulator] = []
         self.command = command
-        self.settings = Settings(row_seconds=ROW_SECONDS, memory=900 * MEGABYTE, nice=0)
-        self.workshop = Workshop(self.hire, row_seconds=ROW_SECONDS, memory=250 * MEGABYTE)
+        self.settings = Settings(row_seconds=row_seconds, memory=900 * MEGABYTE, nice=0)
+        self.workshop = Workshop(self.hire, row_seconds=row_seconds, memory=250 * MEGABYTE)
         self.done: list[Result] = []
         self.lost: list[Task] = []
 
@@ -53,13 +56,13 @@ class Hands:
         while not self.workshop.has_room:
             self.hear()
 
-    def hear(self) -> None:
-        """Take the next news, and have begun batches go on."""
+    def hear(self, patience: float = PATIENCE) -> None:
+        """Take the next news, if they come soon enough, and have begun batches go on."""
         if self.workshop.opens_at < inf:
             self.workshop.tick(self.workshop.opens_at)
             return
         try:
-            news = self.inbox.get(timeout=max(0.0, min(PATIENCE, self.workshop.tick_at - monotonic())))
+            news = self.inbox.get(timeout=max(0.0, min(patience, self.workshop.tick_at - monotonic())))
         except Empty:
             self.workshop.tick(monotonic())
             return
@@ -68,6 +71,12 @@ class Hands:
         self.lost += upshot.lost
         while self.workshop.has_room and (task := self.workshop.next_again):
             self.put(task)
+
+    def let_pass(self, seconds: float) -> None:
+        """Have so much time pass at once, in which nothing is heard."""
+        began = monotonic()
+        for second in range(round(seconds)):
+            self.workshop.tick(began + second)
 
     def put(self, task: Task, bundle: bytes = SCENE) -> None:
         known = self.workshop.has_scene(task.work.scene)
@@ -88,10 +97,21 @@ def log(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def hands(log: Path) -> Iterator[Hands]:
-    hands = Hands([*stand_in.COMMAND, str(log)])
-    with hands.workshop:
-        yield hands
+def start(log: Path) -> Iterator[Callable[[float], Hands]]:
+    """Opens workshops whose rows have so many CPU seconds."""
+    with ExitStack() as stack:
+
+        def start(row_seconds: float) -> Hands:
+            hands = Hands([*stand_in.COMMAND, str(log)], row_seconds)
+            stack.enter_context(hands.workshop)
+            return hands
+
+        yield start
+
+
+@pytest.fixture
+def hands(start: Callable[[float], Hands]) -> Hands:
+    return start(PATIENCE)
 
 
 def fitness(result: Result) -> list[float]:
@@ -106,34 +126,46 @@ def test_a_batch_comes_back_with_the_rows_in_order(hands):
     assert len(hands.hired) == 1
 
 
-def test_a_simulator_that_stood_still_for_long_is_no_evidence_against_its_row(hands):
+def test_a_simulator_that_stood_still_for_long_is_no_evidence_against_its_row(start):
+    hands = start(10.0)
     hands.begin()
     (simulator,) = hands.hired
     os.kill(simulator.pid, signal.SIGSTOP)
     while not simulator.vitals.is_stopped:
         pass
     hands.put(Task("job", work()))
-    for second in range(1000):
-        hands.workshop.tick(monotonic() + second)
+    hands.let_pass(10 * STALL * 10.0)
     os.kill(simulator.pid, signal.SIGCONT)
     while not hands.done:
         hands.hear()
     assert (hands.done[0].failures, hands.hired) == ([], [simulator])
 
 
-def test_a_worker_that_stood_still_for_long_ends_no_simulator_for_it(hands):
+def test_a_worker_that_stood_still_for_long_ends_no_simulator_for_it(start):
+    hands = start(10.0)
     hands.begin()
     (simulator,) = hands.hired
     hands.put(Task("job", work(row_0=stand_in.DAWDLE)))
-    hands.workshop.tick(monotonic() + 1000 * ROW_SECONDS)
+    hands.workshop.tick(monotonic() + 10 * STALL * 10.0)
     while not hands.done:
         hands.hear()
     assert (hands.done[0].failures, hands.hired) == ([], [simulator])
 
 
-def test_a_row_at_which_simulators_fall_silent_is_found(hands):
-    result = hands.evaluate(work(n=3, row_1=stand_in.SLEEP))
-    reason = f"the simulator said nothing for {STALL * ROW_SECONDS:g} s"
+def test_a_row_at_which_simulators_fall_silent_is_found(start, log):
+    hands = start(BRISK)
+    hands.begin()
+    hands.put(Task("job", work(n=3, row_1=stand_in.SLEEP)))
+    for silences in (1, 2):
+        while not log.exists() or log.read_text().split().count("1") < silences:
+            hands.hear(0.01)
+        hands.let_pass(STALL * BRISK + 2)
+        while len(hands.hired) == silences:
+            hands.hear()
+    while not hands.done:
+        hands.hear()
+    (result,) = hands.done
+    reason = f"the simulator said nothing for {STALL * BRISK:g} s"
     assert [(failure.row, failure.reason) for failure in result.failures] == [(1, reason)]
     assert fitness(result) == [0, 0, 2]
 
@@ -141,9 +173,7 @@ def test_a_row_at_which_simulators_fall_silent_is_found(hands):
 def test_probes_that_never_end_end_the_simulator():
     hands = Hands([sys.executable, "-c", PROBE_FOR_EVER])
     with hands.workshop:
-        began = monotonic()
-        for second in range(round(STALL * PROBE_SECONDS) + 2):
-            hands.workshop.tick(began + second)
+        hands.let_pass(STALL * PROBE_SECONDS + 2)
         with pytest.raises(NoSimulator, match="said nothing"):
             hands.begin()
 
@@ -152,13 +182,17 @@ def test_probes_that_never_end_end_the_simulator():
     ("deed", "reason"),
     [
         (stand_in.ABORT, "the simulator was ended by SIGABRT"),
-        (stand_in.HANG, f"the simulator took more than {ROW_SECONDS} CPU seconds"),
+        (stand_in.HANG, f"the simulator took more than {BRISK} CPU seconds"),
         (stand_in.RAISE, "ValueError: as the genome wants it"),
         (stand_in.EXIT, "the simulator ended with exit code 3"),
         (stand_in.TAKE_EVERYTHING, "MemoryError: "),
     ],
 )
-def test_the_row_that_ends_a_simulator_is_found_and_the_others_are_evaluated(hands, deed, reason):
+def test_the_row_that_ends_a_simulator_is_found_and_the_others_are_evaluated(
+    start, deed, reason, monkeypatch
+):
+    monkeypatch.setattr(workshop, "STALL", inf)  # CPU seconds may take long to come by
+    hands = start(BRISK if deed == stand_in.HANG else PATIENCE)
     result = hands.evaluate(work(n=20, row_7=deed))
     assert [(failure.row, failure.reason) for failure in result.failures] == [(7, reason), (13, "odd")]
     assert fitness(result) == [0 if row == 7 else row for row in range(20)]
