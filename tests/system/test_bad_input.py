@@ -1,5 +1,6 @@
 """Bad input: one clear sentence, exit code 2, nothing lost or half-written."""
 
+import os
 import re
 import socket
 from importlib.resources import files
@@ -96,6 +97,12 @@ def test_an_empty_or_unreadable_mesh_is_refused(qdgrasp, content):
     part = qdgrasp.home / "part.stl"
     part.write_bytes(content)
     assert "part.stl" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part, "--mass", "0.3"))
+
+
+def test_a_pipe_in_the_place_of_a_mesh_is_not_waited_for(qdgrasp):
+    os.mkfifo(qdgrasp.home / "pipe.stl")
+    for command in (("run", "--gripper", "panda", "--mass", "1", "--object"), ("object", "check")):
+        assert "it is no ordinary file; name a file such as" in sentence(qdgrasp(*command, "pipe.stl"))
 
 
 HAND = """
