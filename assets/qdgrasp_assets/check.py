@@ -19,6 +19,7 @@ from qdgrasp_assets.scans import SCANS, differences, fetched_mesh, put_right, si
 from qdgrasp_assets.solid import read_draft
 from qdgrasp_assets.solidity import faults
 from qdgrasp_protocol.errors import QdgraspError, UnknownName
+from qdgrasp_protocol.phrases import counted
 
 GRIPPER_SUFFIX = ".toml"
 
@@ -108,7 +109,12 @@ def _mesh_file(name: str) -> Report:
 
 
 def _of_mesh(name: str, mesh: Mesh, *more: str) -> Report:
-    facts = (f"{size(mesh.extents)} m", f"{len(mesh.faces)} triangles", f"{mesh.volume * 1e6:.2f} cm3", *more)
+    facts = (
+        f"{size(mesh.extents)} m",
+        counted(len(mesh.faces), "triangle"),
+        f"{mesh.volume * 1e6:.2f} cm3",
+        *more,
+    )
     return Report(name, tuple(fact for fact in facts if fact), faults(mesh))
 
 

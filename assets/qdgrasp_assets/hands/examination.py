@@ -22,6 +22,7 @@ from qdgrasp_assets.hands.structure import structure_faults
 from qdgrasp_assets.hands.weight import weight_faults
 from qdgrasp_assets.urdf import Urdf, tree
 from qdgrasp_protocol.errors import AssetError, QdgraspError
+from qdgrasp_protocol.phrases import counted
 
 NOTHING = Told()
 
@@ -52,7 +53,7 @@ class Examination(Findings, frozen=True, kw_only=True):
         if not self.base_link:
             return ()
         fingers = f"fingers {', '.join(self.finger_links)}"
-        return (f"base {self.base_link}", f"{self.joints} joints", fingers, f"licence {self.licence}")
+        return (f"base {self.base_link}", counted(self.joints, "joint"), fingers, f"licence {self.licence}")
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         yield "gripper", self.name
@@ -61,7 +62,7 @@ class Examination(Findings, frozen=True, kw_only=True):
             yield "base link", self.base_link
             mimics = f", {self.followers} of them mimic others" if self.followers else ""
             yield "joints", f"{self.joints} move{mimics}"
-            yield "fingers", f"{self.fingers}, with {len(self.finger_links)} finger links"
+            yield "fingers", f"{self.fingers}, with {counted(len(self.finger_links), 'finger link')}"
             if self.synergies:
                 yield "synergies", ", ".join(self.synergies)
             yield "licence", self.licence

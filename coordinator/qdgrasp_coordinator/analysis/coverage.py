@@ -9,6 +9,7 @@ from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
 from qdgrasp_coordinator.counts.cells import cells, keys
 from qdgrasp_coordinator.counts.scores import ROBUST
+from qdgrasp_protocol.phrases import counted
 
 
 class Coverage(Struct, frozen=True, kw_only=True):
@@ -106,7 +107,8 @@ def _sentence(result: Coverage, name: str) -> str:
         return f"The reference set of '{name}' is empty, so that there is no coverage of it."
     return (
         f"{result.found} of the {result.size} cells of '{name}' were found ({result.coverage:.2%}), "
-        f"and {result.outside} cells that are not in the set.{_robust(result)}{_as_released(result)}"
+        f"and {counted(result.outside, 'cell that is', 'cells that are')} not in the set."
+        f"{_robust(result)}{_as_released(result)}"
     )
 
 

@@ -14,6 +14,7 @@ from qdgrasp_coordinator.analysis.findings import near_share
 from qdgrasp_coordinator.analysis.history import NU_BINS
 from qdgrasp_coordinator.analysis.palette import FAINT, FAMILIES, INK, family_of, hue_of, prior_of
 from qdgrasp_coordinator.analysis.sheet import Sheet, heading, plain
+from qdgrasp_protocol.phrases import counted
 
 TICKS = (("0", 0.0), ("\u03c0/4", 0.25), ("\u03c0/2", 0.5), ("3\u03c0/4", 0.75), ("\u03c0", 1.0))
 PANEL = (3.3, 1.3)
@@ -107,6 +108,6 @@ def behind_words(lean: Lean) -> str:
     """What is behind a distribution."""
     low, high = lean.evaluations
     ends = f"{low:,}" if low == high else f"{low:,}\u2013{high:,}"
-    runs, scenes = ("run" if lean.runs == 1 else "runs"), ("scene" if lean.scenes == 1 else "scenes")
+    scenes = counted(lean.scenes, "scene")
     variant = f"{lean.variant}: " if lean.variant else ""
-    return f"{variant}{lean.runs} {runs} \u00d7 {ends} evaluations, {lean.scenes} {scenes}"
+    return f"{variant}{counted(lean.runs, 'run')} \u00d7 {ends} evaluations, {scenes}"

@@ -8,6 +8,7 @@ from qdgrasp_coordinator.analysis.claims import Judged
 from qdgrasp_coordinator.analysis.entries import Entry, SceneName
 from qdgrasp_coordinator.analysis.findings import FEW, Finding
 from qdgrasp_coordinator.analysis.tables import Row, method_rows
+from qdgrasp_protocol.phrases import counted, few
 
 NAMED = 10
 """So many runs of a kind are named."""
@@ -83,19 +84,18 @@ def page(
 def left_out(runs: Sequence[str]) -> str:
     """What is said of runs whose history cannot be told any more, by their names."""
     verb = "run is" if len(runs) == 1 else "runs are"
-    more = f" and {len(runs) - NAMED} more" if len(runs) > NAMED else ""
-    names = ", ".join(runs[:NAMED])
-    return f"{len(runs)} {verb} left out, of which only the successes were kept: {names}{more}."
+    return f"{len(runs)} {verb} left out, of which only the successes were kept: {few(runs, NAMED)}."
 
 
 def _overview(entries: Sequence[Entry]) -> str:
     runs = [run for entry in entries for run in entry.runs]
     going = [run for run in runs if not run.complete]
-    said = [f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})" for run in going[:NAMED]]
-    more = f" and {len(going) - NAMED} more, see `runs.csv`" if len(going) > NAMED else ""
+    said = [f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})" for run in going]
+    more = ", see `runs.csv`" if len(going) > NAMED else ""
     scenes, evaluations = {entry.scene for entry in entries}, sum(run.evaluations for run in runs)
-    unfinished = f" {len(going)} unfinished: {', '.join(said)}{more}." if going else ""
-    return f"{len(runs)} runs on {len(scenes)} scenes, {evaluations:,} evaluations.{unfinished}\n"
+    spent = counted(evaluations, "evaluation", told="{:,}".format)
+    unfinished = f" {len(going)} unfinished: {few(said, NAMED)}{more}." if going else ""
+    return f"{counted(len(runs), 'run')} on {counted(len(scenes), 'scene')}, {spent}.{unfinished}\n"
 
 
 def _claims(claims: Sequence[Judged]) -> str:

@@ -20,6 +20,7 @@ from qdgrasp_coordinator.analysis.views import (
 )
 from qdgrasp_coordinator.counts.scores import ROBUST
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
 
@@ -67,7 +68,8 @@ def draw_grasps(
 
 def _in_words(successes: Rows, grown: Growth) -> str:
     found = [f"{int((successes['outcome'] >= least).sum()):,} {word}" for least, word in FOUND.items()]
-    return f"{grown.evaluations[-1]:,} evaluations  \u2192  {', '.join(found)}; {grown.cells[-1]:,} cells"
+    cells = counted(int(grown.cells[-1]), "cell", told="{:,}".format)
+    return f"{grown.evaluations[-1]:,} evaluations  \u2192  {', '.join(found)}; {cells}"
 
 
 def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> None:
@@ -96,7 +98,8 @@ def _choice_in_words(shown: Rows, successes: Rows) -> str:
 def _cells(axes: Axes, view: View) -> None:
     _show(axes, view)
     scale_bar(axes, view)
-    heading = f"{len(view.shown):,} cells of 1 cm where the hand had a success"
+    cells = counted(len(view.shown), "cell", told="{:,}".format)
+    heading = f"{cells} of 1 cm where the hand had a success"
     axes.set_title(heading + ("" if view.whole else ", cut open"), size=13, color=INK, loc="left", pad=4)
     fitness = np.clip(view.shown["fitness"], 0, ROBUST).astype(int)
     for best, (colour, word) in enumerate(zip(COLOURS, WORDS, strict=True)):

@@ -35,6 +35,7 @@ from qdgrasp_coordinator.runs.preparation import full_spec, located
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded, UnknownKey
 from qdgrasp_protocol.keys import job_name
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import DEFAULT_METHOD, GOALS, RunSpec, read_run_spec
 
 SHORT = {
@@ -85,7 +86,7 @@ class Campaign:
     @property
     def words(self) -> str:
         """One sentence for a person."""
-        parts = [f"{len(self.runs)} runs, {self.evaluations} evaluations in all"]
+        parts = [f"{counted(len(self.runs), 'run')}, {counted(self.evaluations, 'evaluation')} in all"]
         if self.scans:
             parts.append(f"scans of {', '.join(self.scans)}")
         if self.stand_ins:

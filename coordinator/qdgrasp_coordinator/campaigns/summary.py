@@ -8,6 +8,7 @@ from qdgrasp_coordinator.analysis.metrics import Eta, Lean, Metrics
 from qdgrasp_coordinator.counts.counting import tally
 from qdgrasp_coordinator.counts.totals import Totals, totals
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.trials import trials
 
 FIRST = (
@@ -62,10 +63,10 @@ class Summary(Totals, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """One sentence for a person."""
+        evaluations = counted(self.evaluations, "evaluation")
         return (
-            f"{self.evaluations} evaluations of {self.method} with {self.gripper} on {self.object}: "
-            f"{self.successes} successes in {self.cells} cells, {self.grasps} grasps, {self.robust} robust; "
-            f"{self.screened}."
+            f"{evaluations} of {self.method} with {self.gripper} on {self.object}: "
+            f"{self.found}, {counted(self.grasps, 'grasp')}, {self.robust} robust; {self.screened}."
         )
 
     @property

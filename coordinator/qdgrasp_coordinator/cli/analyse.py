@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from qdgrasp_coordinator.cli import options
+from qdgrasp_protocol.phrases import counted
 
 
 def analyse(
@@ -47,4 +48,4 @@ def analyse(
     if found.without_curves:
         typer.echo(left_out(found.without_curves))
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
-    typer.echo(f"{found.runs} runs{mark}. Figures and tables: {found.out / 'tables.md'}")
+    typer.echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")

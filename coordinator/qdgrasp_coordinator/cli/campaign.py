@@ -19,6 +19,7 @@ from qdgrasp_coordinator.watching.supervisor import Door, Team
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.phrases import counted
 
 
 def campaign(
@@ -106,7 +107,7 @@ def campaign(
     with lifetime("qdgrasp campaign") as stop, display(path.name, asked.evaluations) as shown:
         shown.say(asked.words)
         if extent.runs_done:
-            shown.say(f"{extent.runs_done} of {extent.runs} runs are finished already")
+            shown.say(f"{extent.runs_done} of {counted(extent.runs, 'run is', 'runs are')} finished already")
         if extent.runs_done < extent.runs:
             carry_out(folder, team, shown, stop)
     check_not_stopped(folder, stop)
@@ -160,7 +161,7 @@ def finish(folder: JobFolder, asked: Campaign) -> None:
     if found.runs_done < found.runs:
         typer.echo(f"Not all runs are finished; {going_on(folder)}")
     typer.echo(
-        f"{found.runs_done} of {found.runs} runs with {found.done.evaluations} evaluations: "
-        f"{found.done.successes} successes in {found.done.cells} cells, {found.done.screened}. "
+        f"{found.runs_done} of {counted(found.runs, 'run')} with "
+        f"{counted(found.done.evaluations, 'evaluation')}: {found.done.found}, {found.done.screened}. "
         f"`qdgrasp analyse {folder.path}` draws the figures."
     )

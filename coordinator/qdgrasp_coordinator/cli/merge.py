@@ -9,6 +9,7 @@ import typer
 
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_protocol.phrases import counted
 
 
 def merge(
@@ -37,4 +38,4 @@ def merge(
         return
     for sentence in merged.repeats:
         typer.echo(sentence)
-    typer.echo(f"{found.words} {len(found.sources)} runs in {out}.")
+    typer.echo(f"{found.words} {counted(len(found.sources), 'run')} in {out}.")

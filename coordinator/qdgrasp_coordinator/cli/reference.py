@@ -10,6 +10,7 @@ from qdgrasp_coordinator.analysis.harvest import build as build_sets
 from qdgrasp_coordinator.analysis.reference import ReferenceSet
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_protocol.phrases import counted
 
 app = typer.Typer(no_args_is_help=True, help="Reference sets of graspable positions: build them from runs.")
 
@@ -40,7 +41,9 @@ def build(
         typer.echo(json.dumps({"out": str(out), "objects": {key: _figures(sets[key]) for key in sets}}))
         return
     for key, known in sets.items():
-        typer.echo(f"{out} holds {len(known)} cells of '{key}', {len(known.robust)} of them robust.")
+        typer.echo(
+            f"{out} holds {counted(len(known), 'cell')} of '{key}', {len(known.robust)} of them robust."
+        )
 
 
 def _figures(known: ReferenceSet) -> dict[str, int]:

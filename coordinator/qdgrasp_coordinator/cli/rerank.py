@@ -24,6 +24,7 @@ from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.genome import GIVEN
 from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import MOST, RunSpec, run_spec, to_values
 from qdgrasp_protocol.trials import COUNTS
@@ -78,7 +79,7 @@ def rerank(
     door = Door(listen, security, insecure)
     team = Team(options.cores() if workers is None else workers, batch_size, door, disk_wait)
     with display(folder.name, spec.evaluations) as shown:
-        shown.say(f"scoring {len(chosen)} grasps of {directory} again")
+        shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
         scene, bundle = preparation.make_bundle(spec)
         _check_same(source.scene(), scene)
         with lifetime("qdgrasp rerank") as stop:

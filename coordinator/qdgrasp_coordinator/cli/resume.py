@@ -15,6 +15,7 @@ from qdgrasp_coordinator.watching.supervisor import Door, Team
 from qdgrasp_protocol import flags
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.phrases import counted
 
 
 def resume(
@@ -55,7 +56,7 @@ def resume(
     count = options.cores() if workers is None else workers
     team = Team(count, batch_size, door, disk_wait, seconds)
     with lifetime("qdgrasp resume") as stop, display(directory.name, folder.spec.evaluations) as shown:
-        shown.say(f"going on after {found.evaluations} evaluations")
+        shown.say(f"going on after {counted(found.evaluations, 'evaluation')}")
         carry_out(folder.job, team, shown, stop)
     finish(folder, stop)
 

@@ -10,6 +10,7 @@ from qdgrasp_protocol import flags
 from qdgrasp_protocol.credentials import Role
 from qdgrasp_protocol.endpoint import home
 from qdgrasp_protocol.errors import SecurityError
+from qdgrasp_protocol.phrases import counted
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
@@ -39,7 +40,8 @@ def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
 
     made = SecurityFolder.create(directory, hosts=_hosts(host), days=days)
     typer.echo(
-        f"{made.path} holds an authority and certificates for {', '.join(Role)}, good for {days} days. "
+        f"{made.path} holds an authority and certificates for {', '.join(Role)}, good for "
+        f"{counted(days, 'day')}. "
         f"Start a router: `qdgrasp-router --listen tls/0.0.0.0:7447 --security {made.path}`."
     )
 
@@ -59,7 +61,9 @@ def add(
     from qdgrasp_coordinator.security.folder import SecurityFolder
 
     place = SecurityFolder(directory).add(role, name, hosts=_hosts(host), days=days)
-    typer.echo(f"{place} holds a certificate of the {role}, good for {days} days: copy it to {name}.")
+    typer.echo(
+        f"{place} holds a certificate of the {role}, good for {counted(days, 'day')}: copy it to {name}."
+    )
 
 
 @app.command()

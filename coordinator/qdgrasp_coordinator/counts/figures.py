@@ -9,6 +9,7 @@ from msgspec import Meta, Struct
 from qdgrasp_coordinator.counts.entry import RunEntry
 from qdgrasp_coordinator.counts.totals import Totals
 from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.phrases import counted
 
 MOST = 2**63
 """The most that any number in what is shown may be."""
@@ -87,16 +88,18 @@ class JobFigures(Totals, frozen=True, kw_only=True):
         """One line for a person."""
         failed = f" and {self.runs_failed} failed" if self.runs_failed else ""
         runs = f"{self.runs_done} of {self.runs} runs{failed}, " if self.runs > 1 else ""
-        done = f"{runs}{self.evaluations} of {self.budget} evaluations"
+        done = f"{runs}{self.evaluations} of {counted(self.budget, 'evaluation')}"
         if self.obstacle:
             return f"{done}, paused: {self.obstacle}"
         if self.state == "starting":
             return f"{done}, starting"
         if self.state == "paused":
             return f"{done}, paused until `qdgrasp continue {self.job}`"
-        found = f"{self.successes} successes in {self.cells} cells, {self.screened}"
-        trials = f"{self.trials} trials, " if self.trials else ""
-        return f"{done}, {self.rate:.0f}/s, {found}, {trials}{self.workers} workers"
+        if not self.workers and not self.rate:
+            return f"{done}, no worker yet"
+        trials = f"{counted(self.trials, 'trial')}, " if self.trials else ""
+        workers = counted(self.workers, "worker")
+        return f"{done}, {self.rate:.0f}/s, {self.found}, {self.screened}, {trials}{workers}"
 
     @property
     def obstacle(self) -> str:

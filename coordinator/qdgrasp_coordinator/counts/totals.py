@@ -3,6 +3,7 @@
 from msgspec import Struct
 
 from qdgrasp_coordinator.counts.tally import Tally
+from qdgrasp_protocol.phrases import counted
 
 
 class Totals(Struct, frozen=True, kw_only=True):
@@ -32,11 +33,16 @@ class Totals(Struct, frozen=True, kw_only=True):
     """Rows that are trials of successes; 0 where no protocol has them."""
 
     @property
+    def found(self) -> str:
+        """What was found, in words."""
+        return f"{counted(self.successes, 'success', 'successes')} in {counted(self.cells, 'cell')}"
+
+    @property
     def screened(self) -> str:
         """The other counting, beside evaluations, in words: how much was screened for them."""
         return (
-            f"{self.simulated} simulated of {self.proposals} proposals, "
-            f"{self.overlaps} overlaps, {self.dead_ends} dead ends"
+            f"{self.simulated} simulated of {counted(self.proposals, 'proposal')}, "
+            f"{counted(self.overlaps, 'overlap')}, {counted(self.dead_ends, 'dead end')}"
         )
 
     def __add__(self, other: "Totals") -> "Totals":

@@ -21,6 +21,7 @@ from qdgrasp_coordinator.exchange.frames import COM, MESH, Frame, frame_of, move
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.genome import NO_SYNERGY
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
 
@@ -78,7 +79,7 @@ class Grasps:
     """(n,): the estimated probability of transfer; NaN where not all trials of a success are there."""
 
     def __repr__(self) -> str:
-        return f"<{len(self)} grasps of {self.scene.gripper.name} on {self.scene.object.name}>"
+        return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -4,6 +4,7 @@ from typing import Any
 
 from msgspec import Struct
 
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import RunSpec, from_toml
 
 
@@ -35,7 +36,5 @@ class Source(Struct, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """One line for a person."""
-        done = self.summary["evaluations"]
-        return (
-            f"{self.run}: {self.asked.method}, seed {self.asked.seed}, {done} evaluations, {self.digest[:12]}"
-        )
+        done = counted(self.summary["evaluations"], "evaluation")
+        return f"{self.run}: {self.asked.method}, seed {self.asked.seed}, {done}, {self.digest[:12]}"

@@ -24,6 +24,7 @@ from qdgrasp_coordinator.folders.sources import Source as JournalSource
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.trials import trials
 
@@ -130,7 +131,7 @@ def write_ranking(folder: RunFolder) -> str:
     shown = [COLUMNS[:9], *(tuple(f"{value:g}" for value in line[:9]) for line in table[:SHOWN])]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
     lines = ["  ".join(map(str.rjust, line, widths)) for line in shown]
-    return "\n".join([*lines, f"{len(table)} grasps ranked in {folder.path / RANKING}"])
+    return "\n".join([*lines, f"{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"])
 
 
 def ranked(folder: RunFolder) -> list[tuple[float, ...]]:

@@ -2,6 +2,8 @@
 
 from msgspec import Struct
 
+from qdgrasp_protocol.phrases import counted
+
 SHOWN = 10
 """Rows that are shown to a person one by one."""
 
@@ -92,8 +94,8 @@ class Verified(Struct, frozen=True, kw_only=True):
         if len(self.different) > SHOWN:
             lines.append(f"... and {len(self.different) - SHOWN} more")
         if self.columns:
-            counted = ", ".join(f"{name} in {count}" for name, count in self.columns.items())
-            lines.append(f"columns that differ: {counted} rows")
+            counts = ", ".join(f"{name} in {counted(n, 'row')}" for name, n in self.columns.items())
+            lines.append(f"columns that differ: {counts}")
         ended = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in self.outcomes.items())
-        lines.append(f"{self.same} of {self.rows} rows the same: {ended}")
+        lines.append(f"{self.same} of {counted(self.rows, 'row')} the same: {ended}")
         return "\n".join([*lines, *(origin.words for origin in self.origins)])

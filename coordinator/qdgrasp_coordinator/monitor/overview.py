@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 from qdgrasp_coordinator.monitor.jobs import Jobs, JobView
 from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.phrases import counted, few
 
 SHOWN = 6
 """So many runs and hosts are named of each job."""
@@ -54,7 +55,7 @@ def _runs(view: JobView) -> str:
     if view.figures.runs <= 1:
         return ""
     told = [f"{one.run} {one.evaluations}/{one.budget}" for one in view.runs]
-    return f"{len(told)} runs in progress" + (f": {_listed(told)}" if told else "")
+    return f"{counted(len(told), 'run')} in progress" + (f": {few(told, SHOWN)}" if told else "")
 
 
 def _workers(view: JobView) -> str:
@@ -62,13 +63,8 @@ def _workers(view: JobView) -> str:
     states = Counter(worker.state for worker in view.workers)
     told = [f"{host} {n}" for host, n in hosts.most_common()]
     how = ", ".join(f"{n} {state}" for state, n in sorted(states.items()))
-    return f"workers: {_listed(told)} ({how})" if told else "workers: none has joined"
+    return f"workers: {few(told, SHOWN)} ({how})" if told else "workers: none has joined"
 
 
 def _recorder(view: JobView) -> str:
     return "" if view.figures.recorders else "no recorder is there: found rows wait for one"
-
-
-def _listed(words: list[str]) -> str:
-    more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
-    return ", ".join(words[:SHOWN]) + more

@@ -10,6 +10,7 @@ from qdgrasp_coordinator.counts.team import WorkerFigures
 from qdgrasp_coordinator.serving.turn import Turn
 from qdgrasp_protocol.errors import Cancelled, EndedEarly, Refused
 from qdgrasp_protocol.messages import Order
+from qdgrasp_protocol.phrases import counted, few
 
 SHOWN = 8
 """So much of a worker's id tells it from others, mostly."""
@@ -52,8 +53,12 @@ class Orders:
         if turn.is_paused:
             return f"Job '{self._job}' is paused already; `qdgrasp continue {self._job}` has it go on."
         turn.is_paused = True
-        out = sum(len(member.batches) for member in turn.dispatch.members)
-        return f"Job '{self._job}' is paused: nothing is handed out; {out} batches that are out still count."
+        out = counted(
+            sum(len(member.batches) for member in turn.dispatch.members),
+            "batch that is out still counts",
+            "batches that are out still count",
+        )
+        return f"Job '{self._job}' is paused: nothing is handed out; {out}."
 
     def _continue(self, _order: Order, _now: float) -> str:
         turn = self._turn()
@@ -104,6 +109,4 @@ def _known(workers: list[WorkerFigures]) -> str:
     """Which workers there are, in words."""
     if not workers:
         return "none has joined"
-    names = ", ".join(f"{one.wid[:SHOWN]} on {one.host}" for one in workers[:NAMED])
-    more = f" and {len(workers) - NAMED} more" if len(workers) > NAMED else ""
-    return f"there are {names}{more}"
+    return f"there are {few([f'{one.wid[:SHOWN]} on {one.host}' for one in workers], NAMED)}"

@@ -31,6 +31,7 @@ from qdgrasp_protocol.messages import (
     Recorded,
     Result,
 )
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.sign import Sign
 
 log = structlog.get_logger()
@@ -172,7 +173,7 @@ class Turn:
     def _note_failures(self, run: str, wid: str, failures: Sequence[Failure]) -> None:
         """Note that rows were given up."""
         if failures:
-            rows = f"{len(failures)} row{'s' if len(failures) > 1 else ''} of run '{run}'"
+            rows = f"{counted(len(failures), 'row')} of run '{run}'"
             words = f"{rows} given up after {STRIKES} tries: {failures[0].reason}."
             self._chronicle.note("error", words, run=run, worker=wid)
 

@@ -108,7 +108,7 @@ def test_without_an_archive_of_the_released_code_its_figures_are_left_out() -> N
 def test_the_sentence_says_what_the_figures_say() -> None:
     found = coverage(at((1, 0, 0), (3, 0, 0), (9, 0, 0)), np.array([1, 2, 0]), FOUR, SHIFTED)
     assert found.sentence == (
-        "2 of the 4 cells of 'cube' were found (50.00%), and 1 cells that are not in the set. "
+        "2 of the 4 cells of 'cube' were found (50.00%), and 1 cell that is not in the set. "
         "With fitness 2 were found 1 of the 2 that have it in the set (50.00%). "
         "The released code counts 2 of the 4 (50.00%)."
     )

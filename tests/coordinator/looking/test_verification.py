@@ -159,7 +159,7 @@ def test_rows_that_differ_are_told_one_by_one_with_the_platform() -> None:
     assert not told.is_same
     assert told.table.splitlines() == [
         "row 7 of runs/mug, trial 0: fitness 1.0 instead of 2.0",
-        "columns that differ: fitness in 1 rows",
+        "columns that differ: fitness in 1 row",
         "1 of 2 rows the same: 1 held, 1 dead end",
         "1 of them were made on another platform; here is numpy 2 instead of 1",
         "1 of them were made on a platform that is not recorded",

@@ -13,6 +13,7 @@ from qdgrasp_coordinator.monitor.terminal.plot import plot
 from qdgrasp_coordinator.monitor.terminal.table import Lines, fit
 from qdgrasp_coordinator.monitor.terminal.words import count, part, short, span
 from qdgrasp_coordinator.monitor.view import OVER, JobView
+from qdgrasp_protocol.phrases import counted
 
 COLOURS = ("bright_black", "red", "yellow", "magenta", "cyan", "green")
 """Of the stages, beside what fills them."""
@@ -44,16 +45,17 @@ def progress(view: JobView, width: int, glyphs: Glyphs) -> Text:
 def found(view: JobView, width: int, glyphs: Glyphs) -> Lines:
     """What was evaluated and found, in two lines, and what is in the way, in a third."""
     one = view.figures
+    successes = counted(one.successes, "success", "successes", count)
     runs = f"{one.runs_done} of {one.runs} runs{glyphs.between}" if one.runs > 1 else ""
     lines = [
-        f"{runs}{count(one.evaluations)} of {count(one.budget)} evaluations{glyphs.between}"
+        f"{runs}{count(one.evaluations)} of {counted(one.budget, 'evaluation', told=count)}{glyphs.between}"
         f"{short(latest(view.history))}/s lately, {short(one.rate)}/s so far",
         glyphs.between.join((
-            f"{count(one.successes)} successes ({part(one.successes, one.evaluations)})",
-            f"{count(one.cells)} cells",
+            f"{successes} ({part(one.successes, one.evaluations)})",
+            counted(one.cells, "cell", told=count),
             f"{count(one.robust)} robust",
-            f"{count(one.errors)} errors",
-            *([f"{count(one.trials)} trials"] if one.trials else []),
+            counted(one.errors, "error", told=count),
+            *([counted(one.trials, "trial", told=count)] if one.trials else []),
         )),
     ]  # fmt: skip
     told = [Text(fit(line, width, glyphs).rstrip()) for line in lines]
@@ -174,13 +176,13 @@ def hindrance(view: JobView, glyphs: Glyphs) -> str:
         return words[view.state]
     if one.obstacle:
         return f"waits: {glyphs.text(one.obstacle)}"
-    recorder = f"{count(one.waiting)} rows not on disk yet" if one.waiting else "all on disk"
+    recorder = f"{counted(one.waiting, 'row', told=count)} not on disk yet" if one.waiting else "all on disk"
     told = [
         words.get(view.state, ""),
         recorder if one.recorders else "no recorder is there: rows wait for one",
     ]
-    told += [f"{count(one.requeued)} batches given again"] if one.requeued else []
-    told += [f"{count(one.strays)} results dropped"] if one.strays else []
+    told += [f"{counted(one.requeued, 'batch', 'batches', count)} given again"] if one.requeued else []
+    told += [f"{counted(one.strays, 'result', told=count)} dropped"] if one.strays else []
     return glyphs.between.join(filter(None, told))
 
 
