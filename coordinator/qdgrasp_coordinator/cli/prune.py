@@ -7,6 +7,10 @@ import typer
 
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_protocol.phrases import counted
+
+LEAST = 50_000
+"""So many bytes are told as 0.1 MB."""
 
 
 def prune(
@@ -27,7 +31,13 @@ def prune(
     is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
     if not is_campaign:
         freed = prune_run(RunFolder.open(directory))
-        typer.echo(f"{freed / 1e6:.1f} MB are free; {directory} keeps successes alone.")
+        typer.echo(f"{_room(freed)}; {directory} keeps successes alone.")
         return
     done = prune_all(JobFolder(directory))
-    typer.echo(f"{done.freed / 1e6:.1f} MB are free; {done.pruned} of {done.runs} runs keep successes alone.")
+    kept = counted(done.runs, "run keeps", "runs keep")
+    typer.echo(f"{_room(done.freed)}; {done.pruned} of {kept} successes alone.")
+
+
+def _room(freed: int) -> str:
+    """How much room there is now, by the bytes that were freed; of a small run it may be less than before."""
+    return f"{freed / 1e6:.1f} MB are free" if freed >= LEAST else "Hardly any room is free"
