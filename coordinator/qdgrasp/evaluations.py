@@ -3,8 +3,8 @@
 import signal
 import tempfile
 import threading
-from concurrent.futures import wait
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 from typing import Self, Unpack
 
@@ -17,7 +17,6 @@ from qdgrasp.scenery import Scenery, spec_of
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.counts.scores import sums
-from qdgrasp_coordinator.folders.job_folder import RUN
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.runs.pipeline import Pipeline
 from qdgrasp_coordinator.runs.preparation import scene_shape
@@ -27,6 +26,7 @@ from qdgrasp_coordinator.watching.stage import Stage
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.genome import Genomes
 from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import to_toml
 from qdgrasp_protocol.trials import trials
@@ -79,7 +79,8 @@ class Evaluations:
         """Where its bus is, within the with-block: other workers may join there, and `qdgrasp jobs` looks."""
         self._place = place
         self._lots = Lots()
-        self._lot: Lot | None = None
+        self._pending: list[Lot] = []  # asked for by this thread or that, looked after by the coordinator's
+        self._count = count(1)
         self._stop = Stop()
         self._doors: ExitStack | None = None
         self._end: BaseException | None = None
@@ -124,7 +125,7 @@ class Evaluations:
         ImpossibleValue
             They have another shape, or hold what a genome cannot.
         TimeoutError
-            The time is over; what was asked is evaluated all the same.
+            The time is over. What was asked is evaluated all the same, and nobody gets its rows.
         EndedEarly
             Somebody cancelled the job, or workers die again and again.
         """
@@ -140,16 +141,16 @@ class Evaluations:
         asked = checked(genomes, self.layout)
         if not len(asked):
             return self._shape.empty(0)
-        if self._lot is not None:
-            wait([self._lot.rows], timeout)  # one that somebody has stopped waiting for
-        lot = self._lot = Lot(self._assignment(asked))
+        lot = Lot(self._assignment(asked))
+        self._pending.append(lot)
         self._lots.put(lot.assignment)
         if self._end is not None:
             raise self._end
         try:
             return lot.rows.result(timeout)
         except TimeoutError:
-            raise TimeoutError(f"{len(asked)} genomes are not all evaluated after {timeout:g} s.") from None
+            genomes = counted(len(asked), "genome")
+            raise TimeoutError(f"After {timeout:g} s there are not all rows of {genomes}.") from None
 
     def _assignment(self, genomes: Genomes) -> Assignment:
         pipeline = Pipeline(
@@ -161,7 +162,9 @@ class Evaluations:
             trials=trials(self.spec.protocol),
         )
         spec = to_toml(self.spec).encode()
-        return Assignment(RUN, spec, self._bundle, self.prior, self._shape, pipeline, len(genomes))
+        return Assignment(
+            f"lot-{next(self._count)}", spec, self._bundle, self.prior, self._shape, pipeline, len(genomes)
+        )
 
     # What follows runs in a thread of its own.
 
@@ -173,19 +176,18 @@ class Evaluations:
             self._end = error
         else:
             self._end = EndedEarly("The job has ended.")
-        if self._lot is not None and not self._lot.rows.done():
-            self._lot.rows.set_exception(self._end)
+        for lot in self._pending:
+            lot.fail(self._end)
 
     def _look(self) -> None:
-        if self._lot is not None:
-            self._lot.look()
+        for lot in list(self._pending):
+            lot.look()
+            if lot.rows.done():
+                self._pending.remove(lot)
 
     def _record(self, assignment: Assignment) -> Memory:
         """Where the rows of a lot go."""
-        lot = self._lot
-        if lot is None or lot.assignment is not assignment:
-            return Memory(assignment.shape)  # of one that nobody waits for any more
-        return lot.memory
+        return next(lot.memory for lot in self._pending if lot.assignment is assignment)
 
     def _leave(self) -> None:
         self._stop.set(signal.SIGTERM)

@@ -102,11 +102,12 @@ def test_no_genomes_give_no_rows(evaluations: qdgrasp.Evaluations) -> None:
     assert len(evaluations.evaluate(np.zeros((0, len(evaluations.layout))))) == 0
 
 
-def test_a_time_that_is_over_leaves_the_next_call_in_order(
+def test_times_that_are_over_leave_the_next_call_in_order(
     evaluations: qdgrasp.Evaluations, near: np.ndarray
 ) -> None:
-    with pytest.raises(TimeoutError):
-        evaluations.evaluate(near, timeout=0.0)
+    for asked in (near, near[5:], near[:2]):
+        with pytest.raises(TimeoutError):
+            evaluations.evaluate(asked, timeout=0.0)
     assert evaluations.evaluate(near[:3])["genome"].tobytes() == near[:3].tobytes()
 
 

@@ -51,7 +51,7 @@ def test_time_that_is_over_is_said_in_words() -> None:
     place = qdgrasp.Place(workers=0)
     with (
         qdgrasp.Evaluations(prior="given", place=place, gripper="panda", object="tennis_ball") as evaluations,
-        pytest.raises(TimeoutError, match="1 genomes are not all evaluated after 0 s"),
+        pytest.raises(TimeoutError, match="After 0 s there are not all rows of 1 genome"),
     ):
         evaluations.evaluate([[*ABOVE[0], *DOWN[0]]], timeout=0.0)
 
