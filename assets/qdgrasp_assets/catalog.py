@@ -10,7 +10,8 @@ from qdgrasp_assets.mesh_file import check_file
 from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.surface import SURFACES
-from qdgrasp_assets.target import Target, read_target, vector
+from qdgrasp_assets.target import Target, read_target
+from qdgrasp_assets.vectors import vector
 from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 

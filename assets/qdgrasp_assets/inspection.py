@@ -11,11 +11,14 @@ from qdgrasp_assets.findings import Findings
 from qdgrasp_assets.gaps import apart
 from qdgrasp_assets.mesh import Floats, Mesh
 from qdgrasp_assets.room import Room
+from qdgrasp_assets.scene import Vector
 from qdgrasp_assets.solid import Draft
 from qdgrasp_assets.solidity import Edges, body_volumes
 from qdgrasp_assets.surface import POINTS_PER_METRE
 from qdgrasp_assets.units import in_words
+from qdgrasp_assets.vectors import vector
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.phrases import counted
 
 WATER = 1000.0
 """[kg/m3]"""
@@ -24,8 +27,6 @@ LIGHTEST, HEAVIEST = 20.0, 12_000.0
 ROUNDING = 1e-9
 MANY = 100_000
 """With more triangles convex parts take minutes: half as many, as a torus, take CoACD 14 s of one core."""
-
-Vector = tuple[float, float, float]
 
 
 class Convex(Struct, frozen=True, kw_only=True):
@@ -85,12 +86,12 @@ class Inspection(Findings, frozen=True, kw_only=True):
         size = f"{_size(self.extents)} m"
         volume = () if self.volume is None else (f"{self.volume * 1e6:.2f} cm3",)
         repairs = (f"repaired: {'; '.join(self.repairs)}",) if self.repairs else ()
-        return (size, f"{self.triangles} triangles", *volume, *repairs)
+        return (size, counted(self.triangles, "triangle"), *volume, *repairs)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         yield "object", self.name
         yield "size", f"{_size(self.extents)} m" + ("" if self.scale == 1 else f" ({in_words(self.scale)})")
-        yield "surface", f"{self.triangles} triangles, {'closed' if self.closed else 'NOT closed'}"
+        yield "surface", f"{counted(self.triangles, 'triangle')}, {'closed' if self.closed else 'NOT closed'}"
         yield "bodies", f"{self.bodies}" + (f", with {self.hollows} hollow within" if self.hollows else "")
         if self.volume is not None and self.centre_of_mass is not None:
             yield "volume", f"{self.volume * 1e6:.2f} cm3"
@@ -144,7 +145,7 @@ def inspect(
     found = Inspection(
         name=name,
         scale=1.0 if scale is None else scale,
-        extents=_vector(mesh.extents),
+        extents=vector(mesh.extents),
         triangles=len(mesh.faces),
         closed=Edges(mesh).is_closed,
         bodies=len(volumes) - hollows,
@@ -169,8 +170,8 @@ def _measured(found: Inspection, mesh: Mesh, mass: float | None) -> Inspection:
         volume=mesh.volume,
         mass=mass,
         density=density,
-        centre_of_mass=_vector(_plain(mesh.centre_of_mass)),
-        inertia=None if mass is None else tuple(_vector(row) for row in _plain(mass * mesh.inertia)),
+        centre_of_mass=vector(_plain(mesh.centre_of_mass)),
+        inertia=None if mass is None else tuple(vector(row) for row in _plain(mass * mesh.inertia)),
         surface_points=int(POINTS_PER_METRE * np.linalg.norm(mesh.extents)),
         notes=(*found.notes, *_of_solid(found, mesh), *_of_mass(mesh.volume, density)),
     )
@@ -221,11 +222,6 @@ def _of_mass(volume: float, density: float | None) -> Iterator[str]:
 def _plain(values: Floats) -> Floats:
     """The same with zeros for what is rounding beside the largest."""
     return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
-
-
-def _vector(values: Floats) -> Vector:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 def _size(extents: Vector) -> str:

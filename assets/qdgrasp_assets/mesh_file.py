@@ -1,6 +1,5 @@
-"""Mesh files of any format that is read here, as one mesh in the unit of the file; and writing them."""
+"""Mesh files of any format that is read here, as one mesh in the unit of the file; and meshes as files."""
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,9 @@ NEEDED = {
 
 WRITTEN = (".stl", ".obj", ".ply", ".off", ".glb")
 """Formats that are written."""
+
+LARGEST = 1 << 30
+"""Bytes of a file; half a million triangles, the most that are taken, have 25 MB as STL, as text 140."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,18 @@ def check_file(path: Path) -> None:
     Raises
     ------
     AssetError
-        It is a folder, a pipe or a device, not there, or has no bytes.
+        It is a folder, a pipe or a device, not there, has no bytes, or too many.
     """
     if why := amiss(path):
         raise AssetError(_of_folder(path) if why == A_FOLDER else _not_there(path, why))
-    if not path.stat().st_size:
+    size = path.stat().st_size
+    if not size:
         raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
+    if size > LARGEST:
+        raise AssetError(
+            f"The mesh '{path}' has {size / 1e9:.1f} GB, more than is read ({LARGEST / 1e9:.1f}): simplify it; "
+            "20 000 triangles show a finger as much."
+        )
 
 
 def _loaded(path: Path) -> Any:
@@ -143,36 +151,11 @@ def _unit(scene: Any) -> float | None:
         return None
 
 
-def write_mesh(path: Path, mesh: Mesh) -> None:
-    """Write a mesh [m] to a new file, whole or not at all.
-
-    Raises
-    ------
-    AssetError
-        It is there already, cannot be written, or is of no format that is.
-    """
-    check_new(path)
+def to_bytes(mesh: Mesh, suffix: str) -> bytes:
+    """A mesh as a file of one of the formats `WRITTEN`, in the unit that it is told in."""
     import trimesh
 
     content: Any = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(
-        file_type=path.suffix.lower().removeprefix(".")
+        file_type=suffix.lower().removeprefix(".")
     )
-    try:
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            beside = Path(folder) / path.name
-            beside.write_bytes(content.encode() if isinstance(content, str) else content)
-            beside.replace(path)
-    except OSError as error:
-        raise AssetError(f"The mesh cannot be written to '{path}': {error.strerror or error}.") from None
-
-
-def check_new(path: Path) -> None:
-    """Check that a mesh may be written to a file; errors as of `write_mesh`."""
-    if path.suffix.lower() not in WRITTEN:
-        raise AssetError(
-            f"No mesh can be written to '{path}': name a file that ends with {', '.join(WRITTEN)}."
-        )
-    if not path.absolute().parent.is_dir():
-        raise AssetError(f"'{path}' is in no folder that there is; make it, or name another file.")
-    if path.exists():
-        raise AssetError(f"'{path}' is there already, and is not written over; name another file.")
+    return content.encode() if isinstance(content, str) else bytes(content)

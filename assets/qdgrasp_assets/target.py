@@ -9,8 +9,9 @@ import numpy as np
 from qdgrasp_assets.convex import collision_parts
 from qdgrasp_assets.gaps import gap
 from qdgrasp_assets.mesh import Floats, Mesh, parts_to_obj
-from qdgrasp_assets.scene import SceneObject, Vector
+from qdgrasp_assets.scene import SceneObject
 from qdgrasp_assets.solid import read_solid
+from qdgrasp_assets.vectors import vector
 from qdgrasp_protocol.errors import AssetError
 
 log = logging.getLogger(__name__)
@@ -107,9 +108,3 @@ def target_of(mesh: Mesh, path: Path, mass: float, scale: float | None = None) -
         parts=parts,
         com_in_mesh=mesh.centre_of_mass,
     )
-
-
-def vector(values: Floats) -> Vector:
-    """Three numbers as plain floats."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z

@@ -10,6 +10,7 @@
             * UnusableMeshes     mesh files of which no objects can be made
         * FolderError            a run folder that cannot be used
             * DiskFull               there is no room to write in it
+            * OutputError            a path where something cannot be written
         * ReplayError            a journal that its own spec does not replay to
         * RunFailed              a run of a job that cannot be carried out
         * RunsFailed             runs of a job that could not be, when the others are
@@ -30,6 +31,8 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+
+from qdgrasp_protocol.phrases import few, quoted
 
 
 class QdgraspError(Exception):
@@ -121,6 +124,26 @@ class FolderError(InputError):
 
 class DiskFull(FolderError):
     """There is no room to write in a run folder; what was written before is whole."""
+
+
+class OutputError(FolderError):
+    """A path where something cannot be written; what is there was left as it was.
+
+    Parameters
+    ----------
+    path
+        Where it was to be written.
+    why
+        What is there, or what went wrong.
+    instead
+        What to do; empty: that is plain.
+    forces
+        Whether `--force` helps too.
+    """
+
+    def __init__(self, path: object, why: str, instead: str = "", *, forces: bool = False) -> None:
+        advice = ", or ".join([instead] * bool(instead) + ["replace it with --force"] * forces)
+        super().__init__(f"{path} {why}{'; ' if advice else ''}{advice}.")
 
 
 class EndsTooSoon(InputError):
@@ -223,11 +246,10 @@ class RunsFailed(InputError):
         if total == 1:
             super().__init__(str(first))
             return
-        names = ", ".join(f"'{other.run}'" for other in others[: self.NAMED])
-        more = f" and {len(others) - self.NAMED} more" if len(others) > self.NAMED else ""
+        names = few(quoted(other.run for other in others), self.NAMED)
         super().__init__(
             f"{len(failures)} of {total} runs could not be carried out; the first is '{first.run}': {first}"
-            + (f" The others: {names}{more}." if others else "")
+            + (f" The others: {names}." if others else "")
         )
 
 

@@ -173,6 +173,6 @@ def _is_in(folder: Path, robot: Urdf, name: str) -> bool:
 
 def _kept(path: Path, why: str) -> str:
     return (
-        f"'{path}' {why}, and is not replaced, not even with --force: name another file with -o, beside "
+        f"'{path}' {why}, and is not replaced, not even with --force: name another path with --out, beside "
         "which the mended copy is written."
     )

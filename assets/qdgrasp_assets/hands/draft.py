@@ -16,6 +16,7 @@ from qdgrasp_assets.hands.overlap import Floats
 from qdgrasp_assets.hands.thumb import pinches
 from qdgrasp_assets.scene import Vector
 from qdgrasp_assets.urdf import Urdf, UrdfJoint
+from qdgrasp_assets.vectors import vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 
 TOLD = "as told"
@@ -79,7 +80,7 @@ def draft(robot: Urdf, urdf: str, told: Told) -> Draft:
         urdf=urdf,
         licence=told.licence or "not stated",
         base_link=base,
-        approach_axis=_vector(axis),
+        approach_axis=_rounded(axis),
         palm_offset=offset,
         standoff=standoff,
         finger_links=links,
@@ -207,7 +208,7 @@ def _jaw(closing: Closing, axis: Floats) -> tuple[JawTable | None, str]:
     room = 0.0 if across is None else palm.opening(closing, axis, across)
     if across is None or room <= 0:
         return None, ""
-    table = JawTable(axis=_vector(across), opening=round(room, 4))
+    table = JawTable(axis=_rounded(across), opening=round(room, 4))
     return table, "two fingers that move toward each other, and the room between them when open"
 
 
@@ -237,6 +238,5 @@ def _within(body: Body, name: str, position: float) -> float:
     return round(float(np.clip(position, low, high)), 6)
 
 
-def _vector(axis: Floats) -> Vector:
-    x, y, z = (float(value) + 0.0 for value in axis.round(6))
-    return x, y, z
+def _rounded(axis: Floats) -> Vector:
+    return vector(axis.round(6) + 0.0)

@@ -9,6 +9,7 @@ from qdgrasp_assets.hands import palm
 from qdgrasp_assets.hands.body import Body
 from qdgrasp_assets.hands.motors import CLOSING_TIME
 from qdgrasp_assets.hands.postures import AWAY, BESIDE, Postures, angle, deep_pairs, is_always_deep
+from qdgrasp_protocol.phrases import plain
 
 OFF = np.radians(35.0)
 """An approach axis that is so far from where the fingers close is noted [rad]."""
@@ -37,7 +38,7 @@ def _linkage(hand: Postures) -> Iterator[str]:
 
 def _inclined(hand: Postures) -> Iterator[str]:
     if AWAY >= angle(hand) > OFF:
-        axis = ", ".join(f"{value:g}" for value in palm.approach(hand.closing))
+        axis = plain(palm.approach(hand.closing))
         yield (
             f"approach_axis is {np.degrees(angle(hand)):.0f} degrees from where the fingers close, [{axis}]"
         )
@@ -80,17 +81,14 @@ def _jaw(hand: Postures) -> Iterator[str]:
     jaw = hand.file.jaw
     if across is None or (room := palm.opening(hand.closing, hand.axis, across)) <= 0:
         return
-    axis = ", ".join(f"{value:g}" for value in across)
+    axis = plain(across)
     if jaw is None:
         yield (
             f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {room:.4g} "
             "it could use antipodal methods"
         )
     elif abs(across @ jaw.packed.axis) < np.cos(OFF):
-        yield (
-            f"jaw.axis is [{', '.join(f'{value:g}' for value in jaw.axis)}], and the fingers oppose each "
-            f"other along [{axis}]"
-        )
+        yield f"jaw.axis is [{plain(jaw.axis)}], and the fingers oppose each other along [{axis}]"
     elif abs(room - jaw.opening) > JAW_OFF:
         yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {room:.4g} m"
 

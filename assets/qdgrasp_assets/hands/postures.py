@@ -13,6 +13,7 @@ from qdgrasp_assets.hands.body import Body
 from qdgrasp_assets.hands.closing import Closing, between
 from qdgrasp_assets.hands.fingers import find_fingers
 from qdgrasp_assets.hands.overlap import Floats, depth
+from qdgrasp_protocol.phrases import plain
 
 DEEP = 2e-3
 """Links are in each other where a ball so large fits into both [m]; their hulls are larger than they are."""
@@ -157,7 +158,7 @@ def angle(hand: Postures) -> float:
 
 def _looks_away(hand: Postures) -> Iterator[str]:
     if angle(hand) > AWAY:
-        axis = ", ".join(f"{value:g}" for value in palm.approach(hand.closing))
+        axis = plain(palm.approach(hand.closing))
         yield f"approach_axis points away from the fingers, which are toward [{axis}]; turn it round"
 
 

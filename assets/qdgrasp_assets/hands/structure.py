@@ -4,6 +4,8 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
+from qdgrasp_protocol.phrases import few, quoted
+
 MEASURES = frozenset(
     ("xyz", "rpy", "size", "scale", "radius", "length", "lower", "upper", "effort", "velocity", "value")
 )
@@ -95,5 +97,4 @@ def listed(kind: str, names: list[str]) -> str:
 
 
 def _few(names: list[str]) -> str:
-    shown = ", ".join(f"'{name}'" for name in names[:MOST_NAMED])
-    return shown + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")
+    return few(quoted(names), MOST_NAMED)

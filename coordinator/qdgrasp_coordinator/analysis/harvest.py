@@ -4,7 +4,6 @@ A file holds the sets of one gripper, one for each object, and grows with every 
 """
 
 import hashlib
-import io
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from qdgrasp_coordinator.counts.cells import best, cells
 from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_coordinator.folders import disk, lock
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows
@@ -65,15 +65,18 @@ def build(folders: Iterable[RunFolder], out: Path, name: str | None = None, *, m
     FolderError
         A run cannot be read, the file cannot be written, or another process is adding to it.
     """
+    output = OutFile(out, force=True)  # what is in it stays in it
+    output.check()
     _known(out)  # what cannot be added to is refused before anything is touched
     gathered: Sets = {}
     for folder in folders:
         _add(gathered, harvested(folder, name), folder.path, mixed)
-    with lock.exclusive(out.absolute().parent, f".{out.name}.lock"):
+    home = out.absolute().parent
+    with disk.writing(out, output.instead), disk.way(home), lock.exclusive(home, f".{out.name}.lock"):
         sets = _known(out)
         for found in gathered.values():
             _add(sets, found, out, mixed)
-        _write(out, sets)
+        _write(output, sets)
     return {name: sets[name] for name in gathered}
 
 
@@ -146,20 +149,18 @@ def _known(out: Path) -> Sets:
     return sets
 
 
-def _write(out: Path, sets: Sets) -> None:
+def _write(out: OutFile, sets: Sets) -> None:
     arrays: dict[str, NDArray[np.generic]] = {}
     for name, known in sorted(sets.items()):
-        origin = _origin(known, out)
+        origin = _origin(known, out.path)
         arrays["gripper"] = np.array(origin.gripper)
         arrays[f"{name}.cm"] = known.cells.astype(np.int16)
         arrays[f"{name}.fitness"] = known.fitness
         arrays[f"{name}.made_with"] = np.array(origin.object)
         arrays[f"{name}.identity"] = np.array(origin.identity)
         arrays[f"{name}.protocols"] = np.array(origin.protocols)
-    payload = io.BytesIO()
-    np.savez_compressed(payload, allow_pickle=False, **arrays)
-    with disk.writing(out.absolute().parent):
-        disk.write(out, payload.getvalue())
+    with out.writing() as made, made.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _listed(names: Iterable[str]) -> str:

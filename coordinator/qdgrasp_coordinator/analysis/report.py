@@ -8,7 +8,7 @@
 * `runs.csv`, `methods.csv`, `claims.csv`, and `tables.md` with all of it in words
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from qdgrasp_coordinator.analysis.tables import (
 )
 from qdgrasp_coordinator.analysis.target import Targets
 from qdgrasp_coordinator.analysis.voxel_figure import draw_voxels, drawn_method, voxels
-from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.outputs import SharedFolder
 from qdgrasp_protocol.errors import FolderError, UnknownName
 
 OUT = "analysis"
@@ -95,6 +95,8 @@ def report(
     UnknownName
         No run is of this method; those that there are are named.
     """
+    folder = SharedFolder(out)
+    folder.check()
     there = run_folders(path)
     folders = [folder for folder in there if has_curves(folder)]
     if not folders:
@@ -108,13 +110,13 @@ def report(
     if method is not None and method not in methods:
         raise UnknownName("method in this campaign", method, methods)
     claims = judged(begun)
-    with disk.writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-        figures = _draw(begun, out, method, log)
+    with folder.filling() as made:
+        figures = _draw(begun, made, method, log)
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
-            _write(out / f"{name}.csv", csv_text(rows))
-        _write(out / "tables.md", page(path.absolute().name, arms, claims, figures, without_curves))
+            _write(made / f"{name}.csv", csv_text(rows))
+        _write(made / "tables.md", page(path.absolute().name, arms, claims, figures, without_curves))
+    _remove_old(out, figures)
     return Report(out, arms, claims, figures, without_curves)
 
 
@@ -155,10 +157,8 @@ def _with_search(shown: Sequence[Panel]) -> list[Panel]:
 
 
 def _put(stem: Path, sheet: Sheet | str, rows: Sequence[Row]) -> str:
-    """Write a figure and its data; or remove those of an earlier analysis, and return why there is none."""
+    """Write a figure and its data; or return why there is none."""
     if isinstance(sheet, str):
-        for suffix in SUFFIXES:
-            stem.with_suffix(suffix).unlink(missing_ok=True)
         return sheet
     sheet.write(stem)
     _write(stem.with_suffix(".csv"), csv_text(rows))
@@ -166,4 +166,11 @@ def _put(stem: Path, sheet: Sheet | str, rows: Sequence[Row]) -> str:
 
 
 def _write(file: Path, text: str) -> None:
-    disk.write(file, text.encode())
+    file.write_text(text, encoding="utf-8")
+
+
+def _remove_old(out: Path, figures: Mapping[str, str]) -> None:
+    """Remove the figures of an earlier analysis that were left out of this one."""
+    for name, why in figures.items():
+        for suffix in SUFFIXES if why else ():
+            (out / name).with_suffix(suffix).unlink(missing_ok=True)

@@ -13,6 +13,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.hand import Floats, hand
 from qdgrasp_coordinator.counts.poses import postures
 from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.phrases import numbers
 from qdgrasp_protocol.rows import Rows
 
 CHUNK = 2048
@@ -74,13 +75,10 @@ def orientation(words: str) -> Rotation:
     ImpossibleValue
         It is neither.
     """
-    try:
-        numbers = [float(word) for word in words.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) == 3 and np.isfinite(numbers).all():
-        return Rotation.from_euler("xyz", numbers, degrees=True)
-    if len(numbers) == 4 and np.isfinite(numbers).all() and np.linalg.norm(numbers) > 1e-6:
-        return Rotation.from_quat(numbers)
+    found = numbers(words)
+    if len(found) == 3 and np.isfinite(found).all():
+        return Rotation.from_euler("xyz", found, degrees=True)
+    if len(found) == 4 and np.isfinite(found).all() and np.linalg.norm(found) > 1e-6:
+        return Rotation.from_quat(found)
     expected = "a quaternion x,y,z,w or angles x,y,z in degrees, such as 90,0,0"
     raise ImpossibleValue("--object-pose", words, expected)

@@ -7,7 +7,9 @@ from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.campaigns.programme import Extent
 from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, LOGS, RUNS, Job, JobFolder
+from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.phrases import counted
 
 
 def begin(path: Path, asked: Campaign, job: str | None = None) -> Extent:
@@ -30,7 +32,7 @@ def begin(path: Path, asked: Campaign, job: str | None = None) -> Extent:
         that is asked for with another spec or with less than it has; or it is in use. It is left as it was.
     """
     if not JobFolder.is_job(path):
-        disk.check_free(path)
+        OutFolder(path).check()
         files = Job.begun(path, job).file | {CAMPAIGN: asked.toml.encode()}
         disk.create(path, files, folders=[LOGS, RUNS])
         return CampaignRuns(None, asked.runs).extent
@@ -62,8 +64,9 @@ def _check_kept(folder: JobFolder, asked: Campaign) -> None:
     """Check that every run that the folder's campaign has is asked for."""
     lost = [name for name in read_campaign(folder.path / CAMPAIGN).runs if name not in asked.runs]
     if lost:
+        lacking = counted(len(lost), "run that is", "runs that are")
         raise FolderError(
-            f"{folder.path} is of a campaign with {len(lost)} runs that are not asked for any more, such as "
+            f"{folder.path} is of a campaign with {lacking} not asked for any more, such as "
             f"'{lost[0]}'; leave them in the file, or name another folder with --out. "
             f"`qdgrasp campaign {folder.path}` goes on with the campaign as it was."
         )

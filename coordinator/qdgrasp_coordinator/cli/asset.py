@@ -16,6 +16,8 @@ from qdgrasp_assets.check import check as check_asset
 from qdgrasp_assets.fetch import HOME, TERMS
 from qdgrasp_assets.fetch import fetch as fetch_scan
 from qdgrasp_coordinator.cli import options
+from qdgrasp_coordinator.cli.pictures import picture_folder
+from qdgrasp_coordinator.folders.outputs import SharedFolder
 from qdgrasp_protocol.errors import AssetError, WrongScan
 from qdgrasp_protocol.spec import RunSpec
 
@@ -86,12 +88,13 @@ def check(
 
     Example: qdgrasp asset check ycb_mug part.stl my_hand.toml --pictures pictures
     """
+    drawing = picture_folder(pictures, "--pictures")
     reports = [check_asset(name) for name in names or (*catalog.gripper_names(), *catalog.object_names())]
     for report in reports:
         for line in _lines(report):
             typer.echo(line)
-        if pictures is not None and not report.faults:
-            typer.echo(f"      drawn: {_drawn(report.name, pictures)}")
+        if drawing is not None and not report.faults:
+            typer.echo(f"      drawn: {_drawn(report.name, drawing)}")
     wrong = [report.name for report in reports if report.faults]
     if wrong:
         raise AssetError(
@@ -106,19 +109,19 @@ def _lines(report: Report) -> Iterable[str]:
         yield f"WRONG {report.name}: {fault}"
 
 
-def _drawn(name: str, folder: Path) -> Path:
-    """The picture of an asset, in a folder that is made where it is not there."""
+def _drawn(name: str, folder: SharedFolder) -> Path:
+    """The picture of an asset."""
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_gripper, draw_object
 
-    folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / f"{Path(name).stem}.png"
-    if is_gripper(name):
-        draw_gripper(catalog.find_gripper(name).on_carrier("paper"), picture)
-    else:
-        any_mass = RunSpec(gripper="", object=name, mass=1.0)
-        draw_object(catalog.find_object(any_mass), picture)
-    return picture
+    picture = folder.file(f"{Path(name).stem}.png")
+    with picture.writing() as made:
+        if is_gripper(name):
+            draw_gripper(catalog.find_gripper(name).on_carrier("paper"), made)
+        else:
+            any_mass = RunSpec(gripper="", object=name, mass=1.0)
+            draw_object(catalog.find_object(any_mass), made)
+    return picture.path
 
 
 def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:

@@ -8,13 +8,14 @@ import typer
 from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.counts.poses import read_poses, write_scores
-from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_coordinator.runs.preparation import make_bundle
 from qdgrasp_coordinator.watching.progress import display
 from qdgrasp_coordinator.watching.scoring import score
 from qdgrasp_coordinator.watching.supervisor import Team
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.errors import OutputError
 from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import run_spec
 from qdgrasp_protocol.trials import trials
 
@@ -23,7 +24,9 @@ def evaluate(
     gripper: options.Gripper = None,
     object_: options.Object = None,
     poses: Annotated[Path | None, typer.Option(help="The poses: an npz file, see below.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Where the scores go: an npz file.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where the scores go: an npz file; its folder is made.")
+    ] = None,
     mass: options.Mass = None,
     scale: options.Scale = None,
     units: options.Units = None,
@@ -53,7 +56,8 @@ def evaluate(
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"
         raise typer.BadParameter(f"{missing} is missing: name an npz file.")
-    _check_out(out, poses, force=force)
+    output = OutFile(out, force=force)
+    _check(output, poses)
     spec = run_spec({name: value for name, value in values.items() if value is not None}, "evaluate")
     given = read_poses(poses)
     team = Team(options.cores() if workers is None else workers, batch_size)
@@ -64,11 +68,14 @@ def evaluate(
             rows = score(spec, scene, bundle, given, team, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
-    write_scores(out, rows, trials(spec.protocol))
-    typer.echo(f"{len(given)} poses scored, written to {out}")
+    with output.writing() as made:
+        write_scores(made, rows, trials(spec.protocol))
+    typer.echo(f"{counted(len(given), 'pose')} scored, written to {out}")
 
 
-def _check_out(out: Path, poses: Path, *, force: bool) -> None:
+def _check(output: OutFile, poses: Path) -> None:
+    """Check that scores may be written, and not over their own poses."""
+    out = output.path
     if out.absolute() == poses.absolute() or (out.exists() and poses.exists() and out.samefile(poses)):
-        raise FolderError(f"{out} holds the poses; name another file with --out.")
-    disk.check_file(out, force=force)
+        raise OutputError(out, "holds the poses", output.instead)
+    output.check()

@@ -15,7 +15,15 @@ def export(
     name: Annotated[
         str, typer.Option("--format", help="One of isaac, acronym, graspgen, parquet, moveit, csv.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The file; for graspgen a folder.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="OUT",
+            help="The file, for graspgen a folder; those that it lies in are made.",
+        ),
+    ],
     min_fitness: Annotated[
         int, typer.Option(min=0, max=2, help="Shakes survived, at least; 0 takes all successes.")
     ] = 1,

@@ -1,6 +1,5 @@
 """`qdgrasp gripper`: a hand of one's own: guess how it grasps, and say what is wrong with it."""
 
-import json
 import shlex
 import sys
 from collections.abc import Iterable
@@ -9,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 
 from qdgrasp_assets.catalog import find_gripper
@@ -22,8 +20,10 @@ from qdgrasp_assets.hands.examination import Examination, examine_hand, examine_
 from qdgrasp_assets.hands.source import read_source
 from qdgrasp_assets.hands.writing import toml
 from qdgrasp_assets.urdf import Urdf
-from qdgrasp_coordinator.cli import faults, options, wizard
-from qdgrasp_coordinator.folders.out_file import OutFile, picture_folder
+from qdgrasp_coordinator.cli import findings, options, wizard
+from qdgrasp_coordinator.cli.pictures import picture_folder
+from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.outputs import OutFile, OutFolder, SharedFolder
 from qdgrasp_protocol.errors import AssetError
 
 app = typer.Typer(no_args_is_help=True, help="Hands of one's own: make their files, and check them.")
@@ -35,7 +35,10 @@ def new(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="FILE.toml", help="What to write; default: the URDF's name, here."
+            "--out",
+            "-o",
+            metavar="FILE.toml",
+            help="What to write; its folder is made; default: the URDF's name, here.",
         ),
     ] = None,
     base_link: Annotated[str | None, typer.Option(help="The link that the hand hangs on.")] = None,
@@ -88,7 +91,7 @@ def new(
         free=None if free is None else wizard.words("free", free),
     )
     target = out or Path(urdf.with_suffix(".toml").name)
-    file = OutFile(target, (".toml",), force)
+    file = OutFile(target, suffixes=(".toml",), force=force)
     file.check()
     robot, asks = _whole(urdf), is_asked() and not yes
     with ExitStack() as until_written:
@@ -97,8 +100,8 @@ def new(
         told = wizard.ask(robot, reference, told) if asks else told
         made = draft(robot, reference, told)
         found = examine_hand(robot, made.file, str(target))
-        typer.echo(found.table)
-        _refuse(found, "was not written")
+        findings.tell(found)
+        findings.refuse("gripper", found, "was not written")
         file.write(toml(made, target.name).encode())
     typer.echo(f"written: {target}")
     typer.echo(f"look at it: qdgrasp gripper check {shlex.quote(str(target))} --picture pictures")
@@ -121,11 +124,12 @@ def check(
 
     Example: qdgrasp gripper check my_hand.toml --picture pictures
     """
+    drawing = picture_folder(picture, "--picture")
     found, hand = _examined(name)
-    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
-    if picture is not None and found.extents is not None:
-        typer.echo(f"drawn: {_drawn(hand or find_gripper(name), name, picture)}", err=as_json)
-    _refuse(found)
+    findings.tell(found, as_json=as_json)
+    if drawing is not None and found.extents is not None:
+        typer.echo(f"drawn: {_drawn(hand or find_gripper(name), name, drawing)}", err=as_json)
+    findings.refuse("gripper", found)
 
 
 def is_asked() -> bool:
@@ -140,19 +144,10 @@ def _examined(name: str) -> tuple[Examination, Gripper | None]:
     return examine_gripper(name), None
 
 
-def _refuse(found: Examination, why: str = "cannot be used as it is") -> None:
-    """Refuse a hand of which all faults were printed."""
-    if found.faults:
-        raise AssetError(f"The gripper '{found.name}' {why}: correct {faults.listed(found.faults)}.")
-
-
-def _check_copy(toml: Path, *, force: bool) -> None:
-    """Refuse to write over a mended copy that is there."""
-    for path in (mended_urdf(toml), mended_meshes(toml)):
-        if path.exists() and not force:
-            raise AssetError(
-                f"{path} is there already; name another file with -o, or replace it with --force."
-            )
+def _check_copy(file: OutFile) -> None:
+    """Refuse to write over a mended copy that is there, unless the gripper's file is replaced too."""
+    OutFile(mended_urdf(file.path), force=file.force).check()
+    OutFolder(mended_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
 
 
 def _whole(urdf: Path) -> Urdf:
@@ -183,8 +178,9 @@ def _usable(
         )
     if not mend:
         return robot, told
-    _check_copy(file.path, force=file.force)
+    _check_copy(file)
     may_centre = told.base_link is None
+    until_written.enter_context(disk.way(file.path.absolute().parent))
     copy = until_written.enter_context(mended_copy(robot, base, file.path, _tell, may_centre=may_centre))
     for change in copy.changes or ("nothing had to be",):
         typer.echo(f"mended: {change}")
@@ -210,11 +206,12 @@ def _reference(urdf: Path, target: Path) -> str:
     return str(whole.relative_to(folder) if whole.is_relative_to(folder) else whole)
 
 
-def _drawn(hand: Gripper, name: str, folder: Path) -> Path:
-    """The picture of a gripper, in a folder that is made where it is not there."""
+def _drawn(hand: Gripper, name: str, folder: SharedFolder) -> Path:
+    """The picture of a gripper."""
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_gripper
 
-    picture = picture_folder(folder) / f"{Path(name).stem}.png"
-    draw_gripper(hand.on_carrier("paper"), picture)
-    return picture
+    picture = folder.file(f"{Path(name).stem}.png")
+    with picture.writing() as made:
+        draw_gripper(hand.on_carrier("paper"), made)
+    return picture.path

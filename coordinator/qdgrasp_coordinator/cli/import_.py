@@ -8,8 +8,9 @@ import typer
 
 from qdgrasp_assets.units import scale_of
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_coordinator.watching.telling import telling
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -24,7 +25,10 @@ def import_(
     gripper: Annotated[str, typer.Option(help="Gripper: a built-in name or a TOML file.")],
     object_: Annotated[str, typer.Option("--object", help="Object: a built-in name or a mesh file.")],
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="OUT", help="The poses: an npz file for `evaluate`.")
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="OUT", help="The poses: an npz file for `evaluate`; its folder is made."
+        ),
     ],
     scale: options.Scale = None,
     units: options.Units = None,
@@ -44,7 +48,8 @@ def import_(
     from qdgrasp_coordinator.exchange.importing import read_grasps
     from qdgrasp_coordinator.exchange.things import hand_of, thing_of
 
-    disk.check_file(out, force=force)
+    output = OutFile(out, force=force)
+    output.check()
     metres = scale_of(units, scale)
     told_in = None if frame is None else frame_of(frame)
     with telling() as tell:
@@ -52,11 +57,11 @@ def import_(
         found = read_grasps(file, hand_of(gripper), thing_of(object_, metres), told_in)
     flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
     flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
-    found.write(out)
+    found.write(output)
     for note in found.notes:
         typer.echo(note, err=True)
     words = [word for name, value in flags.items() if value is not None for word in (f"--{name}", str(value))]
-    typer.echo(f"{len(found)} poses written to {out}; this scores them:")
+    typer.echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")
     typer.echo(f"  qdgrasp evaluate {shlex.join(words)}")
 
 

@@ -1,28 +1,28 @@
 """`qdgrasp object`: what an object of one's own is, and what is wrong with it."""
 
-import json
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from qdgrasp_assets.catalog import object_names
 from qdgrasp_assets.convex import TIME_LIMIT, Tell, quietly
-from qdgrasp_assets.files import named_path
+from qdgrasp_assets.files import amiss, named_path
 from qdgrasp_assets.inspection import Inspection, inspect
-from qdgrasp_assets.mesh_file import check_new, write_mesh
+from qdgrasp_assets.mesh_file import WRITTEN, to_bytes
 from qdgrasp_assets.solid import Draft, read_draft
 from qdgrasp_assets.target import target_of
 from qdgrasp_assets.units import in_words, scale_of
-from qdgrasp_coordinator.cli import faults, options
-from qdgrasp_coordinator.folders.out_file import picture_folder
+from qdgrasp_coordinator.cli import findings, options
+from qdgrasp_coordinator.cli.pictures import picture_folder
+from qdgrasp_coordinator.folders.outputs import OutFile, SharedFolder
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import run_spec
 
 app = typer.Typer(no_args_is_help=True, help="Objects of one's own: check them, and repair their meshes.")
@@ -70,8 +70,7 @@ def check(
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """
     metres, path = _checked(units, scale, mass), _found(file)
-    if repaired is not None:
-        check_new(repaired)
+    drawing, writing = picture_folder(picture, "--picture"), _mesh_file(repaired)
     draft = read_draft(path, metres, fill_holes=fill_holes)
     with _told(as_json) as tell:
         found = inspect(
@@ -84,13 +83,10 @@ def check(
             time_limit=time_limit,
             tell=tell,
         )
-    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
-    for line in _made(found, draft, path, picture, repaired):
+    findings.tell(found, as_json=as_json)
+    for line in _made(found, draft, path, drawing, writing):
         typer.echo(line, err=as_json)
-    if found.faults:
-        raise AssetError(
-            f"The object '{file}' cannot be used as it is: correct {faults.listed(found.faults)}."
-        )
+    findings.refuse("object", found)
     used, used_scale = (file, metres) if repaired is None else (str(repaired), None)
     typer.echo(f"next: {_next(used, used_scale, mass)}", err=as_json)
 
@@ -104,11 +100,20 @@ def _checked(units: str | None, scale: float | None, mass: float | None) -> floa
 
 def _found(file: str) -> Path:
     path = named_path(file)
-    if not path.exists() and file in object_names():
+    if file in object_names() and amiss(path):
         raise AssetError(
             f"'{file}' is an object of the catalog, no file; `qdgrasp asset check {file}` checks it."
         )
     return path
+
+
+def _mesh_file(path: Path | None) -> OutFile | None:
+    """The file that a mesh is to be written to; None: none is."""
+    if path is None:
+        return None
+    file = OutFile(path, "name another path with --repaired", WRITTEN, force=None)
+    file.check()
+    return file
 
 
 @contextmanager
@@ -125,27 +130,28 @@ def _told(is_quiet: bool) -> Iterator[Tell]:
 
 
 def _made(
-    found: Inspection, draft: Draft, path: Path, picture: Path | None, repaired: Path | None
+    found: Inspection, draft: Draft, path: Path, drawing: SharedFolder | None, writing: OutFile | None
 ) -> Iterator[str]:
     """Draw and write what was asked for, and say so."""
-    if picture is not None:
-        yield f"drawn: {_drawn(found, draft, path, picture)}"
-    if repaired is not None and not found.faults:
-        write_mesh(repaired, draft.mesh)
-        yield f"written: {repaired}, in metres, with {len(draft.mesh.faces)} triangles"
+    if drawing is not None:
+        yield f"drawn: {_drawn(found, draft, path, drawing)}"
+    if writing is not None and not found.faults:
+        writing.write(to_bytes(draft.mesh, writing.path.suffix))
+        yield f"written: {writing.path}, in metres, with {counted(len(draft.mesh.faces), 'triangle')}"
 
 
-def _drawn(found: Inspection, draft: Draft, path: Path, folder: Path) -> Path:
-    """The picture of an object, in a folder that is made where it is not there."""
+def _drawn(found: Inspection, draft: Draft, path: Path, folder: SharedFolder) -> Path:
+    """The picture of an object."""
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_mesh, draw_object
 
-    picture = picture_folder(folder) / f"{path.stem}.png"
-    if found.convex is None:
-        draw_mesh(path.name, draft.mesh, picture)
-    else:
-        draw_object(target_of(draft.mesh, path, found.mass or 1.0), picture)
-    return picture
+    picture = folder.file(f"{path.stem}.png")
+    with picture.writing() as made:
+        if found.convex is None:
+            draw_mesh(path.name, draft.mesh, made)
+        else:
+            draw_object(target_of(draft.mesh, path, found.mass or 1.0), made)
+    return picture.path
 
 
 def _next(file: str, scale: float | None, mass: float | None) -> str:

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.lifetime import lifetime
+from qdgrasp_protocol.phrases import numbers
 
 if TYPE_CHECKING:
     from qdgrasp_coordinator.looking.replaying import Size
@@ -21,7 +22,10 @@ def render(
     directory: options.RunDir,
     grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="A picture (.png) or a film (.gif).")
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="A picture (.png) or a film (.gif); its folder is made."
+        ),
     ],
     trial: Annotated[int | None, typer.Option(min=0, help="Show this trial of the grasp instead.")] = None,
     what: Annotated[
@@ -49,19 +53,21 @@ def render(
 
     Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
     """
-    from qdgrasp_coordinator.looking.replaying import Wish  # what draws takes its time to load
+    from qdgrasp_coordinator.looking.picture import WRITERS  # what draws takes its time to load
+    from qdgrasp_coordinator.looking.replaying import Wish
     from qdgrasp_coordinator.looking.showing import explain, show
     from qdgrasp_coordinator.looking.specimen import specimen
 
-    is_film = _is_film(out)
+    output = OutFile(out, suffixes=tuple(WRITERS), force=force)
+    output.check()
+    is_film = out.suffix.lower() == ".gif"
     if what is not None and not is_film:
         raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
     wish = Wish(_size(size, out), _view(view), (what or "all") if is_film else None, parts)
-    _check_free(out, force)
     shown = specimen(RunFolder.open(directory), grasp, trial)
     typer.echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
-        unlike = show(shown, wish, out, stop)
+        unlike = show(shown, wish, output, stop)
         if stop.is_set:
             raise typer.Exit(stop.exit_code)
         if unlike:
@@ -69,20 +75,6 @@ def render(
     typer.echo(f"{shown.outcome.name.lower()}, row {shown.number}: drawn in {out}")
     if unlike:
         raise typer.Exit(1)
-
-
-def _is_film(out: Path) -> bool:
-    from qdgrasp_coordinator.looking.picture import WRITERS
-
-    if out.suffix.lower() not in WRITERS:
-        raise InputError(f"--out must end in {' or '.join(WRITERS)}, got '{out}'.")
-    return out.suffix.lower() == ".gif"
-
-
-def _check_free(out: Path, force: bool) -> None:
-    if not out.absolute().parent.is_dir():
-        raise InputError(f"There is no folder {out.parent} to write {out.name} into.")
-    disk.check_file(out, force=force)
 
 
 def _size(text: str, out: Path) -> "Size":
@@ -101,12 +93,9 @@ def _size(text: str, out: Path) -> "Size":
 def _view(text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
-    try:
-        azimuth, elevation = (float(word) for word in text.split(","))
-    except ValueError:
-        azimuth = elevation = float("nan")
-    if abs(azimuth) <= 360.0 and abs(elevation) <= 90.0:
-        return azimuth, elevation
+    match numbers(text):
+        case [azimuth, elevation] if abs(azimuth) <= 360.0 and abs(elevation) <= 90.0:
+            return azimuth, elevation
     raise ImpossibleValue(
         "--from", text, "AZIMUTH,ELEVATION in degrees, -360 to 360 and -90 to 90, as in 40,25"
     )

@@ -10,6 +10,7 @@ import typer
 from qdgrasp_assets.hands.draft import Draft, Told, draft
 from qdgrasp_assets.urdf import Urdf
 from qdgrasp_protocol.errors import ImpossibleValue, QdgraspError
+from qdgrasp_protocol.phrases import numbers
 
 Vector = tuple[float, float, float]
 
@@ -101,10 +102,7 @@ def positions(field: str, texts: Iterable[str]) -> dict[str, float]:
 
 
 def _numbers(field: str, text: str, count: int, expected: str) -> list[float]:
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
+    found = numbers(text)
     if len(found) != count or not all(map(math.isfinite, found)):
         raise ImpossibleValue(field, text, expected)
     return found

@@ -174,26 +174,15 @@ def opened(gripper: SceneGripper, spreads: NDArray[np.float32]) -> NDArray[np.fl
 
 
 def write_scores(path: Path, rows: Rows, trials: int = 0) -> None:
-    """Write scores beside each other, in the order of the poses; a half-written file never appears.
+    """Write scores to a new file, in the order of the poses.
 
     Parameters
     ----------
     rows, trials
         As in `scores`.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.part")
-    try:
-        with partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **scores(rows, trials))
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(f"No scores can be written to '{path}': {error.strerror or error}.") from None
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **scores(rows, trials))
 
 
 def scores(rows: Rows, trials: int = 0) -> dict[str, NDArray[np.generic]]:

@@ -51,7 +51,7 @@ class Scores:
 
     def _add(self, waiting: Rows, trials: Rows) -> Rows:
         """Add trials to the sums; gives the successes that have all of theirs, in a journal the first."""
-        place = np.searchsorted(_names(waiting), _names(trials))
+        place = np.searchsorted(genome_numbers(waiting), genome_numbers(trials))
         np.add.at(waiting["fitness"], place, trials["fitness"])
         np.add.at(self._seen, place, 1)
         n = int(np.count_nonzero(self._seen == self._trials))
@@ -71,7 +71,7 @@ def sums(journal: Rows, trials: int) -> NDArray[np.float64]:
     nominal = journal[journal["trial"] == 0]
     found = Scores(trials).take(journal)
     totals = np.zeros(len(nominal))
-    totals[np.searchsorted(_names(nominal), _names(found))] = found["fitness"]
+    totals[np.searchsorted(genome_numbers(nominal), genome_numbers(found))] = found["fitness"]
     return totals
 
 
@@ -88,7 +88,7 @@ def known(rows: Rows, trials: int) -> NDArray[np.float64]:
     scores = np.full(len(found), np.nan)
     here = np.flatnonzero(place < len(first))
     begins = first[order][place[here]]
-    is_its = _names(rows)[begins] == _names(rows)[found[here]]
+    is_its = genome_numbers(rows)[begins] == genome_numbers(rows)[found[here]]
     total = np.concatenate([[0.0], np.cumsum(rows["fitness"], dtype=np.float64)])
     scores[here[is_its]] = (total[begins + trials] - total[begins])[is_its]
     return scores
@@ -101,11 +101,11 @@ def eta(fitness: NDArray[np.number], trials: int) -> NDArray[np.float64]:
 
 def _places(rows: Rows, *places: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """One number for each of some rows, ascending by genome, then by place."""
-    _, genomes = np.unique(_names(rows), return_inverse=True)
+    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
     return [genomes[each] * len(rows) + each for each in places]
 
 
-def _names(rows: Rows) -> NDArray[np.uint64]:
-    """One number for the genome of each row, ascending in a journal: (n,)."""
-    names: NDArray[np.uint64] = (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
-    return names
+def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
+    """One number for the genome of each row, ascending in the journal of one run: (n,)."""
+    numbers: NDArray[np.uint64] = (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
+    return numbers

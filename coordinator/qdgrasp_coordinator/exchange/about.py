@@ -15,6 +15,7 @@ from qdgrasp_coordinator.exchange.grasps import Grasps
 from qdgrasp_coordinator.folders.digest import digest
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal import Journal
+from qdgrasp_protocol.phrases import plain
 from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.trials import trials
 
@@ -129,7 +130,7 @@ def about(folder: RunFolder, grasps: Grasps, frame: Frame) -> About:
         qdgrasp=version("qdgrasp"),
         gripper=hand.name,
         gripper_frame=hand.base_link,
-        gripper_axes=f"those of link '{hand.base_link}'; it approaches along {_numbers(hand.approach_axis)}",
+        gripper_axes=f"those of link '{hand.base_link}'; it approaches along ({plain(hand.approach_axis)})",
         gripper_source=_plain(hand.source),
         gripper_licence=_plain(hand.licence),
         gripper_sha256=_digest(hand),
@@ -183,7 +184,3 @@ def _digest(part: SceneGripper | SceneObject) -> str:
 def _plain(text: str) -> str:
     """A text without characters that control, which formats have no place for; with its lines."""
     return "".join(letter for letter in text if letter.isprintable() or letter == "\n")
-
-
-def _numbers(values: tuple[float, ...]) -> str:
-    return "({})".format(", ".join(f"{value:g}" for value in values))

@@ -10,10 +10,11 @@ from qdgrasp_coordinator.exchange.choosing import choose
 from qdgrasp_coordinator.exchange.frames import frame_of
 from qdgrasp_coordinator.exchange.grasps import Grasps, joined
 from qdgrasp_coordinator.exchange.harvest import read_grasps
-from qdgrasp_coordinator.exchange.writing import ALL, Format, check_free, format_of, write
+from qdgrasp_coordinator.exchange.writing import ALL, Format, format_of, write
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.phrases import counted
 
 
 def export(
@@ -58,19 +59,20 @@ def export(
     """
     form, told_in = format_of(name), frame_of(frame)
     wanted = _negatives(form, negatives)
-    check_free(out, form, force=force)
+    output = form.output(out, force=force)
+    output.check()
     tell(f"reading {folder.path}")
     every = read_grasps(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
-    tell(f"choosing from {len(every)} evaluations")
+    tell(f"choosing from {counted(len(every), 'evaluation')}")
     chosen = choose(every, min_fitness, top, diverse)
     if not len(chosen):
         raise InputError(_nothing(folder, every, min_fitness))
     failures = _failures(every, chosen, wanted)
     written = joined([chosen, failures])
-    tell(f"writing {len(written)} evaluations to {out}")
-    write(out, form, written, about(folder, written, told_in))
-    beside = f" and {len(failures)} failures" if wanted else ""
-    return f"{len(chosen)} grasps{beside} written to {out}, poses in the object's {told_in} frame."
+    tell(f"writing {counted(len(written), 'evaluation')} to {out}")
+    write(output, form, written, about(folder, written, told_in))
+    beside = f" and {counted(len(failures), 'failure')}" if wanted else ""
+    return f"{counted(len(chosen), 'grasp')}{beside} written to {out}, poses in the object's {told_in} frame."
 
 
 def _negatives(form: Format, asked: int | None) -> int:
@@ -93,9 +95,10 @@ def _nothing(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
     successes = every[every.is_success]
     if not len(successes):
         with folder.journal() as journal:
-            return f"{folder.path} has no grasp to write: none of its {journal.count} rows is a success."
-    best = int(successes.fitness.max())
+            rows = counted(journal.count, "row")
+            return f"{folder.path} has no grasp to write: there is no success among {rows}."
+    best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
     return (
         f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
-        f"{len(successes)} successes have {best}, and --min-fitness {best} writes those."
+        f"{many} has {best}, and --min-fitness {best} writes those."
     )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.rotation import Floats
-from qdgrasp_coordinator.counts.scores import Scores, eta
+from qdgrasp_coordinator.counts.scores import Scores, eta, genome_numbers
 from qdgrasp_coordinator.counts.whole import joined, taken
 from qdgrasp_coordinator.exchange.grasps import Found, Grasps
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -98,11 +98,5 @@ def _etas(rows: Rows, scored: Rows, known: int) -> Floats:
     """The eta of each row (n,), NaN where its trials are not complete or there are none."""
     found = np.full(len(rows), np.nan)
     if known:
-        found[np.searchsorted(_names(rows), _names(scored))] = eta(scored["fitness"], known)
+        found[np.searchsorted(genome_numbers(rows), genome_numbers(scored))] = eta(scored["fitness"], known)
     return found
-
-
-def _names(rows: Rows) -> NDArray[np.uint64]:
-    """One number for the genome of each row, ascending in the journal of one run."""
-    names: NDArray[np.uint64] = (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
-    return names

@@ -15,8 +15,9 @@ from qdgrasp_coordinator.exchange.checking import check_positions
 from qdgrasp_coordinator.exchange.frames import COM, MESH, Frame, jaw_turn, moved, turned
 from qdgrasp_coordinator.exchange.things import Thing
 from qdgrasp_coordinator.exchange.told import LONGEST, Told, Unusable
-from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_protocol.genome import NO_SYNERGY
+from qdgrasp_protocol.phrases import few
 
 NEAR = 1e-9
 """Two lengths that differ by less are the same [m]."""
@@ -44,18 +45,16 @@ class Imported:
     def __len__(self) -> int:
         return len(self.arrays["name"])
 
-    def write(self, out: Path) -> None:
-        """Write the poses; the file is replaced at once.
+    def write(self, out: OutFile) -> None:
+        """Write the poses.
 
         Raises
         ------
-        DiskFull, FolderError
-            It cannot be written.
+        DiskFull, OutputError
+            They cannot be written.
         """
-        with disk.writing(out.absolute().parent), disk.workshop(out) as part:
-            with (part / out.name).open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **self.arrays)
-            (part / out.name).rename(out)
+        with out.writing() as made, made.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **self.arrays)
 
 
 def read_grasps(path: Path, hand: SceneGripper, thing: Thing, frame: Frame | None = None) -> Imported:
@@ -141,7 +140,7 @@ def _notes(told: Told, hand: SceneGripper, thing: Thing) -> Iterator[str]:
         )
     known = {joint.name for joint in hand.joints}
     if unknown := [name for name in dict.fromkeys((*told.starts, *told.joints)) if name not in known]:
-        some = ", ".join(unknown[:SHOWN]) + (" ..." if len(unknown) > SHOWN else "")
+        some = few(unknown, SHOWN)
         yield f"The file names joints that gripper '{hand.name}' does not have: {some}; they are left aside."
     about = told.about
     if about and np.abs(np.array(about.com_in_mesh) - thing.com_in_mesh).max() >= NEAR:

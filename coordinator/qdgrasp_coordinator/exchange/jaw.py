@@ -9,6 +9,7 @@ from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.frames import jaw_turn, to_matrices, turned
 from qdgrasp_coordinator.exchange.grasps import Grasps
+from qdgrasp_protocol.phrases import plain
 
 MATRICES = "none: rotations are matrices, columns are the axes of the hand"
 
@@ -21,17 +22,13 @@ def transforms(grasps: Grasps, about: About) -> Floats:
 def turned_about(about: About, gripper: SceneGripper) -> About:
     """What such a file says of its axes."""
     across = (
-        f"x from one finger to the other, along {_vector(gripper.jaw.axis)} of it"
+        f"x from one finger to the other, along ({plain(gripper.jaw.axis)}) of it"
         if gripper.jaw
         else "x at right angles to it, for the hand has no jaw"
     )
     turn = ", ".join(f"{value:.9g}" for value in jaw_turn(gripper) + 0.0)
     words = (
-        f"origin of link '{gripper.base_link}'; +z approaches, along {_vector(gripper.approach_axis)} of the "
+        f"origin of link '{gripper.base_link}'; +z approaches, along ({plain(gripper.approach_axis)}) of the "
         f"link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
     )
     return about.told(axes=words, quaternions=MATRICES)
-
-
-def _vector(values: tuple[float, float, float]) -> str:
-    return "({:g}, {:g}, {:g})".format(*values)

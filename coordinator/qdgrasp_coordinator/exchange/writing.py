@@ -1,4 +1,4 @@
-"""Writing grasps: the table of formats, and a file or folder that appears whole or not at all."""
+"""Writing grasps: the table of formats, each a file or a folder."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,8 +7,8 @@ from pathlib import Path
 from qdgrasp_coordinator.exchange import acronym, csv_table, graspgen, isaac, moveit, parquet
 from qdgrasp_coordinator.exchange.about import About
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.folders import disk
-from qdgrasp_protocol.errors import FolderError, UnknownName
+from qdgrasp_coordinator.folders.outputs import OutFile, OutFolder, Whole
+from qdgrasp_protocol.errors import UnknownName
 
 Write = Callable[[Path, Grasps, About], None]
 ALL = -1
@@ -27,10 +27,11 @@ class Format:
     negatives: int | None = 0
     """Failures that are written unless it is said how many; None: the format has no place for them."""
 
-    @property
-    def is_folder(self) -> bool:
-        """Whether it is a folder of files."""
-        return not self.suffix
+    def output(self, path: Path, *, force: bool = False) -> Whole:
+        """The file or folder at a path; by force one that is there is replaced, if it is of the format."""
+        if self.suffix:
+            return OutFile(path, force=force)
+        return OutFolder(path, force=force, is_kind=graspgen.is_ours)
 
 
 FORMATS = {
@@ -59,45 +60,13 @@ def format_of(name: str) -> Format:
     return FORMATS[name]
 
 
-def check_free(out: Path, form: Format, *, force: bool = False) -> None:
-    """Check that grasps can be written at `out`: nothing is there, or what may be replaced.
+def write(out: Whole, form: Format, grasps: Grasps, about: About) -> None:
+    """Write grasps to a file or folder.
 
     Raises
     ------
-    FolderError
-        Something is there that may not.
-    """
-    if not form.is_folder:
-        if out.is_dir():
-            raise FolderError(
-                f"{out} is a folder, and {form.name} is written as a file; name another with -o."
-            )
-        disk.check_file(out, force=force)
-    elif out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise FolderError(f"{out} is a file, and {form.name} is written as a folder; name another with -o.")
-    elif out.exists() and not graspgen.is_ours(out) and any(out.iterdir()):
-        raise FolderError(f"{out} holds other files than {form.name} has; name a new folder with -o.")
-    elif out.exists() and not force:
-        raise FolderError(f"{out} is there already; name another folder, or replace it with --force.")
-
-
-def write(out: Path, form: Format, grasps: Grasps, about: About) -> None:
-    """Write grasps to a file or folder, which replaces what is there at once.
-
-    Raises
-    ------
-    DiskFull, FolderError
+    DiskFull, OutputError
         It cannot be written.
     """
-    with disk.writing(out.absolute().parent), disk.workshop(out) as part:
-        made, old = part / "new", part / "old"
+    with out.writing() as made:
         form.write(made, grasps, about)
-        if out.is_dir():
-            out.rename(old)
-        try:
-            made.rename(out)
-        except OSError:
-            if old.exists():
-                old.rename(out)
-            raise
-        disk.sync(out.absolute().parent)

@@ -6,10 +6,13 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import takewhile
 from pathlib import Path
 
-from qdgrasp_protocol.errors import DiskFull, FolderError
+from qdgrasp_protocol.errors import DiskFull, FolderError, OutputError
 
+LONGEST = 200
+"""Bytes of a name that are told in another one."""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -36,6 +39,14 @@ def read(file: Path) -> bytes:
         return file.read_bytes()
     except OSError as error:
         raise FolderError(f"{file} cannot be read: {reason(error)}.") from None
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file; not where nobody may look, or of such a name none can be."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def create(
@@ -70,25 +81,59 @@ def create(
 def workshop(path: Path) -> Iterator[Path]:
     """A folder beside `path` in which what shall be there is made; gone in the end, unless it was renamed.
 
-    What processes that were killed had begun to make is removed.
+    The folders on the way are made (`way`). What processes that were killed had begun to make is removed.
     """
     whole = path.absolute()
-    part = whole.with_name(f".{whole.name}.{os.getpid()}.part")
+    part = whole.with_name(f"{_begin(whole)}{os.getpid()}.part")
+    with way(whole.parent):
+        try:
+            with ExitStack() as stack:
+                _sweep(whole)
+                part.mkdir()
+                stack.enter_context(_held(part))
+                yield part
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
+def way(path: Path) -> Iterator[None]:
+    """Make a folder and those that it lies in; where the with-block fails, those that are empty go again."""
+    missing = [*takewhile(lambda each: not each.exists(), (path, *path.parents))]
     try:
-        with ExitStack() as stack:
-            _sweep(whole)
-            part.mkdir(parents=True)
-            stack.enter_context(_held(part))
-            yield part
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+        path.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for each in missing:
+            with suppress(OSError):  # one that holds something stays, and those above it
+                each.rmdir()
+        raise
+
+
+def put(made: Path, path: Path, old: Path) -> None:
+    """Have what was made be at `path`, on the disk; a folder that was there goes to `old`."""
+    if made.is_file():
+        sync(made)
+    if path.is_dir():
+        path.rename(old)
+    try:
+        made.rename(path)
+    except OSError:
+        if old.exists():
+            old.rename(path)
+        raise
+    sync(path.absolute().parent)
+
+
+def _begin(whole: Path) -> str:
+    """What the names of folders begin with in which something is made; not longer than a name may be."""
+    return f".{os.fsdecode(os.fsencode(whole.name)[:LONGEST])}."
 
 
 def _sweep(whole: Path) -> None:
     """Remove what processes that were killed had made of a folder."""
-    parent = whole.parent
-    for part in parent.iterdir() if parent.is_dir() else ():
-        if part.is_dir() and part.name.startswith(f".{whole.name}.") and part.suffix == ".part":
+    for part in whole.parent.iterdir():
+        if part.is_dir() and part.name.startswith(_begin(whole)) and part.suffix == ".part":
             with suppress(BlockingIOError), _held(part):
                 shutil.rmtree(part, ignore_errors=True)
 
@@ -110,40 +155,9 @@ def _held(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def check_free(path: Path) -> None:
-    """Check that nothing is at `path`, or an empty folder.
-
-    Raises
-    ------
-    FolderError
-        Something is there.
-    """
-    if path.exists() and not path.is_dir():
-        raise FolderError(f"{path} is a file; name a folder with --out.")
-    names = sorted(entry.name for entry in path.iterdir()) if path.exists() else []
-    if names:
-        some = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
-        raise FolderError(f"{path} holds other files ({some}); name a new or empty folder with --out.")
-
-
-def check_file(path: Path, *, force: bool = False) -> None:
-    """Check that a file can be written at `path`: nothing is there, or an ordinary file that may be replaced.
-
-    Raises
-    ------
-    FolderError
-        Something else is there: a folder, a device, a link, or a file that is to be kept.
-    """
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        what = "a link" if path.is_symlink() else "a folder" if path.is_dir() else "a device or pipe"
-        raise FolderError(f"{path} is {what}, which is not replaced; name a file.")
-    if path.exists() and not force:
-        raise FolderError(f"{path} is there already; name another file, or replace it with --force.")
-
-
-def sync(folder: Path) -> None:
-    """Bring the names of a folder's files to the disk."""
-    handle = os.open(folder, os.O_RDONLY)
+def sync(path: Path) -> None:
+    """Bring what a file holds, or the names of a folder's files, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
@@ -151,22 +165,22 @@ def sync(folder: Path) -> None:
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """Say in a sentence why nothing can be written in a folder.
+def writing(path: Path, instead: str = "") -> Iterator[None]:
+    """Say in a sentence why nothing can be written at or in `path`, and what to do instead.
 
     Raises
     ------
     DiskFull
         There is no room.
-    FolderError
+    OutputError
         Anything else.
     """
     try:
         yield
     except OSError as error:
         if error.errno in NO_ROOM:
-            raise DiskFull(f"There is no room to write in {folder}: {reason(error)}.") from None
-        raise FolderError(f"{folder} cannot be written: {reason(error)}.") from None
+            raise DiskFull(f"There is no room to write in {path}: {reason(error)}.") from None
+        raise OutputError(path, f"cannot be written: {reason(error)}", instead) from None
 
 
 def damaged(file: Path, how: str) -> FolderError:

@@ -15,6 +15,7 @@ from qdgrasp_coordinator.folders import disk, journal_format
 from qdgrasp_coordinator.folders.job_folder import LOGS, RUN, RUNS, Job, JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.errors import FolderError, MessageError
 from qdgrasp_protocol.rows import Shape
@@ -55,7 +56,7 @@ class RunFolder:
     def add(cls, job: JobFolder, run: str, spec: RunSpec, bundle: Bundle | None) -> "RunFolder":
         """Begin the folder of one of a campaign's runs; raises as `create`."""
         path = job.run_path(run)
-        disk.check_free(path)
+        OutFolder(path).check()
         disk.create(path, files(spec, bundle))
         return cls(path)
 
@@ -79,7 +80,7 @@ class RunFolder:
     @staticmethod
     def is_run(path: Path) -> bool:
         """Whether a run was begun in this folder."""
-        return (path / SPEC).is_file() and JobFolder.is_job(_job_path(path))
+        return disk.is_file(path / SPEC) and JobFolder.is_job(_job_path(path))
 
     @staticmethod
     def check_free(path: Path) -> None:
@@ -88,8 +89,9 @@ class RunFolder:
         Raises
         ------
         FolderError
-            Something is there, or it is among the runs of a campaign.
+            Something is there, or on the way to it, or it is among the runs of a campaign.
         """
+        OutFolder(path, force=True, is_kind=RunFolder.is_run).check()
         owner = _job_path(path)
         if owner != path and JobFolder.is_job(owner):
             raise FolderError(
@@ -101,7 +103,6 @@ class RunFolder:
                 f"{path} holds a run already: `qdgrasp resume {path}` goes on with it; "
                 "for a new run name another folder with --out."
             )
-        disk.check_free(path)
 
     @property
     def job(self) -> JobFolder:

@@ -19,6 +19,7 @@ from types import MappingProxyType
 import msgspec
 
 from qdgrasp_coordinator.folders import disk, lock
+from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys, job_name
 from qdgrasp_protocol.messages import JobId
@@ -92,14 +93,14 @@ class JobFolder:
         FolderError, DiskFull
             The folder holds other files, or cannot be made.
         """
-        disk.check_free(path)
+        OutFolder(path).check()
         disk.create(path, Job.begun(path, name).file | dict(files), folders=[LOGS, RUNS])
         return cls(path)
 
     @staticmethod
     def is_job(path: Path) -> bool:
         """Whether a job was begun in this folder."""
-        return (path / JOB).is_file()
+        return disk.is_file(path / JOB)
 
     @property
     def is_campaign(self) -> bool:

@@ -11,7 +11,6 @@ from qdgrasp_coordinator.looking.canvas import Canvas, font
 from qdgrasp_coordinator.looking.caption import Caption
 from qdgrasp_coordinator.looking.marks import APPROACH, HUES, INK, WORDS, Marks, colours
 from qdgrasp_coordinator.looking.replaying import Replay, Size
-from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.replay import Shot
 
 SMALLEST, LARGEST = Size(320, 240), {".png": Size(3840, 2160), ".gif": Size(1280, 960)}
@@ -79,21 +78,8 @@ def pictures(
 
 
 def write(path: Path, images: Iterator[Image.Image], shots: Sequence[Shot]) -> None:
-    """Write the pictures of a replay: a PNG of the last of them, or a GIF of all; whole or not at all.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
-    partial = path.with_name(f".{path.name}.part")
-    try:
-        WRITERS[path.suffix.lower()](partial, list(images), shots)
-        partial.replace(path)
-    except OSError as error:
-        raise InputError(f"No picture can be written to '{path}': {error.strerror or error}.") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    """Write the pictures of a replay to a new file: a PNG of the last of them, or a GIF of all."""
+    WRITERS[path.suffix.lower()](path, list(images), shots)
 
 
 def _with_words(

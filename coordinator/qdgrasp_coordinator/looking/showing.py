@@ -1,8 +1,8 @@
 """Showing: one row of a journal as a picture or a film, from its replay to the file."""
 
 from dataclasses import replace
-from pathlib import Path
 
+from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_coordinator.looking import agreement
 from qdgrasp_coordinator.looking.caption import Caption
 from qdgrasp_coordinator.looking.picture import Layout, pictures, write
@@ -12,7 +12,7 @@ from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.outcome import Outcome
 
 
-def show(shown: Specimen, wish: Wish, out: Path, stop: Stop) -> list[str]:
+def show(shown: Specimen, wish: Wish, out: OutFile, stop: Stop) -> list[str]:
     """Replay a row and write what is seen.
 
     Parameters
@@ -39,7 +39,8 @@ def show(shown: Specimen, wish: Wish, out: Path, stop: Stop) -> list[str]:
             return []
         unlike, shots = _unlike(shown, replay), replay.answer.shots
         caption = Caption.of(shown, shots, unlike)
-        write(out, pictures(replay, shown.scene.gripper, caption, layout), shots)
+        with out.writing() as made:
+            write(made, pictures(replay, shown.scene.gripper, caption, layout), shots)
     return unlike
 
 

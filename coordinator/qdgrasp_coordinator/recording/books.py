@@ -8,12 +8,12 @@ from math import inf
 from pathlib import Path
 
 from qdgrasp_coordinator.counts.stretch import to_message
-from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import RUN
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.folders.journal_format import FILE
 from qdgrasp_coordinator.folders.journals import Journals
+from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_coordinator.folders.platforms import differences
 from qdgrasp_coordinator.recording.holding import Holding
 from qdgrasp_coordinator.recording.intake import Verdict
@@ -184,7 +184,7 @@ class Books:
         elif RunFolder.is_run(path):
             check_same(path, subject.begun_in(RunFolder(path)), subject)
         else:
-            disk.check_free(path)
+            OutFolder(path).check()
 
     def _common_platform(self, platform: dict[str, str], asked: Open) -> dict[str, str]:
         """The platform of the job with these runs in it."""

@@ -3,9 +3,9 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import RUN, JobFolder
+from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol.errors import FolderError, Refused, TookOver
 from qdgrasp_protocol.messages import Open
 from qdgrasp_protocol.spec import RunSpec
@@ -99,7 +99,7 @@ class Holding:
     def _look(self) -> None:
         """Take hold of the job that is in the folder, if one is."""
         if not JobFolder.is_job(self.path):
-            disk.check_free(self.path)
+            OutFolder(self.path).check()
             return
         folder = JobFolder(self.path)
         if folder.name != self._job:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_coordinator.security import authority
 from qdgrasp_coordinator.security.authority import Identity
 from qdgrasp_coordinator.security.configuration import configuration
@@ -41,7 +42,7 @@ class SecurityFolder:
 
     @classmethod
     def create(cls, path: Path, *, hosts: Sequence[str], days: int) -> "SecurityFolder":
-        """Found an authority and issue a certificate for each role.
+        """Found an authority and issue a certificate for each role; the folder appears whole or not at all.
 
         Parameters
         ----------
@@ -52,23 +53,21 @@ class SecurityFolder:
 
         Raises
         ------
-        SecurityError
+        DiskFull, OutputError
             There is something at `path` already, or it cannot be written.
         """
         check_hosts(hosts)
-        if path.exists() and any(path.iterdir() if path.is_dir() else [path]):
-            raise SecurityError(
-                f"{path} is there already, and nothing in it is overwritten: name another folder, or add "
-                f"to it with `qdgrasp security add {path} ROLE NAME`."
-            )
-        made = cls(path)
+        output = OutFolder(
+            path, f"name another path, or add to it with `qdgrasp security add {path} ROLE NAME`"
+        )
+        output.check()
         root = authority.found(max(days, AUTHORITY_DAYS))
-        _make(path)
-        write(path / "ca.pem", root.certificate_pem)
-        write(path / "ca.key", root.key_pem)
-        for role in Role:
-            made._issue(path, root, role, hosts, days)
-        return made
+        with output.writing() as made:
+            _begin(made, root)
+            write(made / "ca.key", root.key_pem)
+            for role in Role:
+                _issue(made, Credentials(path.absolute(), role), root, hosts, days)
+        return cls(path)
 
     @property
     def authority(self) -> Identity:
@@ -94,7 +93,9 @@ class SecurityFolder:
         Raises
         ------
         SecurityError
-            There is such a folder already, or no authority here that lasts as long.
+            There is no authority here that lasts as long.
+        DiskFull, OutputError
+            There is such a folder already, or it cannot be written.
         """
         check_hosts(hosts)
         if not NAME.fullmatch(name):
@@ -106,23 +107,28 @@ class SecurityFolder:
                 f"A certificate cannot outlive its authority, which has {max(0, left)} days left, less than "
                 f"{days}; choose fewer with --days, or begin anew with `qdgrasp security init`."
             )
-        if place.exists():
-            raise SecurityError(f"{place} is there already; choose another name.")
-        _make(place)
-        write(place / "ca.pem", root.certificate_pem)
-        self._issue(place, root, role, hosts, days, name)
+        with OutFolder(place, "choose another name").writing() as made:
+            _begin(made, root)
+            _issue(made, Credentials(place.absolute(), role), root, hosts, days, name)
         return place
 
-    def _issue(
-        self, place: Path, root: Identity, role: Role, hosts: Sequence[str], days: int, holder: str = ""
-    ) -> None:
-        """Write what a role proves itself with."""
-        names = hosts if role is Role.ROUTER else ()
-        identity = authority.issue(root, role.common_name, days, hosts=names, holder=holder)
-        files = Credentials(place.absolute(), role)
-        write(files.certificate, identity.certificate_pem)
-        write(files.key, identity.key_pem)
-        write(files.configuration, configuration(files, hosts[0]).encode())
+
+def _begin(made: Path, root: Identity) -> None:
+    """Make a folder that only its owner can look into, with the authority's certificate."""
+    made.mkdir(PRIVATE_FOLDER)
+    made.chmod(PRIVATE_FOLDER)  # whatever the umask takes away
+    write(made / "ca.pem", root.certificate_pem)
+
+
+def _issue(
+    made: Path, files: Credentials, root: Identity, hosts: Sequence[str], days: int, holder: str = ""
+) -> None:
+    """Write what a role proves itself with into a folder that will be that of `files`."""
+    names = hosts if files.role is Role.ROUTER else ()
+    identity = authority.issue(root, files.role.common_name, days, hosts=names, holder=holder)
+    write(made / files.certificate.name, identity.certificate_pem)
+    write(made / files.key.name, identity.key_pem)
+    write(made / files.configuration.name, configuration(files, hosts[0]).encode())
 
 
 def check_hosts(hosts: Sequence[str]) -> None:
@@ -144,25 +150,6 @@ def check_hosts(hosts: Sequence[str]) -> None:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file that is there for the first time, readable by its owner only from the start.
-
-    Raises
-    ------
-    SecurityError
-        It cannot be written.
-    """
-    try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-    except OSError as error:
-        raise SecurityError(f"{path} cannot be written: {error.strerror}.") from None
-
-
-def _make(path: Path) -> None:
-    """Make a folder that only its owner can look into."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        path.chmod(PRIVATE_FOLDER)
-    except OSError as error:
-        raise SecurityError(f"{path} cannot be made: {error.strerror}.") from None
+    """Write a file that is there for the first time, readable by its owner only from the start."""
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE), "wb") as file:
+        file.write(content)

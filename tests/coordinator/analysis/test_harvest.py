@@ -15,7 +15,7 @@ from qdgrasp_coordinator.counts.stretch import Stretch
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal_format import Identity
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
-from qdgrasp_protocol.errors import AssetError, FolderError, InputError
+from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -162,9 +162,9 @@ def test_a_set_that_does_not_say_what_it_was_built_from_is_not_added_to(run: Run
     assert list(tmp_path.glob(".*")) == []
 
 
-def test_a_folder_that_is_not_there_is_named(run: Runs, tmp_path: Path) -> None:
-    with pytest.raises(FolderError, match="nowhere"):
-        build([run({A: Outcome.HELD})], tmp_path / "nowhere" / "set.npz")
+def test_the_folder_of_a_set_is_made(run: Runs, tmp_path: Path) -> None:
+    build([run({A: Outcome.HELD})], tmp_path / "new" / "set.npz")
+    assert entries(tmp_path / "new" / "set.npz") == {A: 2}
 
 
 def test_an_object_is_known_by_its_mesh_and_centre_of_mass(make_scene: SceneMaker) -> None:

@@ -35,8 +35,10 @@ def test_poses_are_not_replaced_by_their_scores_even_by_force(poses: Path) -> No
 def test_scores_that_are_there_are_kept_unless_force_is_given(poses: Path) -> None:
     out = poses.parent / "scores.npz"
     out.write_bytes(b"precious")
-    assert "is there already; name another file, or replace it with --force" in refusal(
+    assert "is there already; name another path with --out, or replace it with --force" in refusal(
         "--poses", poses, "--out", out
     )
     assert out.read_bytes() == b"precious"
-    assert "is a folder, which is not replaced" in refusal("--poses", poses, "--out", poses.parent, "--force")
+    assert "is a folder, where a file is to be written" in refusal(
+        "--poses", poses, "--out", poses.parent, "--force"
+    )

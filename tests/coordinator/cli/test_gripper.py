@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from qdgrasp_assets.gripper import read_gripper_file
 from qdgrasp_coordinator.cli import gripper as command
 from qdgrasp_coordinator.cli.gripper import app
-from qdgrasp_protocol.errors import AssetError, FolderError, ImpossibleValue
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 
 
 @pytest.fixture
@@ -71,7 +71,9 @@ def test_a_flag_that_means_nothing_is_refused(gripper, flag, value, sentence):
 def test_new_writes_over_nothing_unless_it_is_told_to(gripper):
     Path("jaw.toml").write_text("mine")
     done = gripper("new", "jaw.urdf")
-    assert "jaw.toml is there already; name another file, or replace it with --force" in str(done.exception)
+    assert "jaw.toml is there already; name another path with --out, or replace it with --force" in str(
+        done.exception
+    )
     assert Path("jaw.toml").read_text() == "mine"
     assert gripper("new", "jaw.urdf", "--force").exit_code == 0
 
@@ -156,15 +158,18 @@ def test_a_reference_hand_is_as_it_was_published(gripper, reference_data, monkey
     assert "note             the joint 'left_inner_knuckle_joint' is limited the wrong way" in done.stdout
 
 
-def test_a_file_goes_into_a_folder_that_there_is(gripper):
-    done = gripper("new", "jaw.urdf", "-o", "out/jaw.toml")
-    assert isinstance(done.exception, FolderError)
-    assert "'out/jaw.toml' is in no folder that there is" in str(done.exception)
+def test_folders_are_made_for_what_is_written_and_not_for_what_is_refused(gripper, bare):
+    flags = ("-o", "new/hands/jaw.toml", "--mend")
+    assert isinstance(gripper("new", "jaw.urdf", *flags, "--standoff", "0.05,0.01").exception, AssetError)
+    assert [path.name for path in Path().iterdir()] == ["jaw.urdf"]
+    assert gripper("new", "jaw.urdf", *flags).exit_code == 0
+    assert Path("new/hands/jaw_mended.urdf").is_file()
+    assert read_gripper_file(Path("new/hands/jaw.toml")).urdf == "jaw_mended.urdf"
 
 
 def test_the_urdf_is_never_written_over(gripper):
     done = gripper("new", "jaw.urdf", "-o", "jaw.urdf", "--force")
-    assert str(done.exception) == "'jaw.urdf' must end with .toml; name another file."
+    assert str(done.exception) == "jaw.urdf must end with .toml; name another path with --out."
     assert Path("jaw.urdf").read_text() == jaw.URDF
 
 
@@ -187,4 +192,6 @@ def test_a_folder_of_somebody_else_stays_whatever_is_forced(gripper, bare):
 def test_pictures_go_into_a_folder(gripper):
     Path("pictures").write_text("mine")
     done = gripper("check", "jaw.urdf", "--picture", "pictures")
-    assert str(done.exception) == ("'pictures' is a file, and pictures go into a folder; name another one.")
+    assert str(done.exception) == (
+        "pictures is a file, where a folder is to be written; name another path with --picture."
+    )

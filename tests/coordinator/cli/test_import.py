@@ -27,7 +27,7 @@ def test_the_command_writes_poses_for_evaluate_and_says_how_to_score_them(tmp_pa
     assert done.exit_code == 0, done.exception
     scores = tmp_path / "poses-scores.npz"
     assert done.stdout.splitlines() == [
-        f"1 poses written to {out}; this scores them:",
+        f"1 pose written to {out}; this scores them:",
         f"  qdgrasp evaluate --gripper panda --object mug --poses {out} --out {scores}",
     ]
     np.testing.assert_allclose(read_poses(out).positions, [POSITION - thing_of("mug").com_in_mesh], atol=1e-7)
@@ -58,7 +58,7 @@ def test_what_is_no_ordinary_file_is_not_replaced_even_by_force(tmp_path: Path) 
     (tmp_path / "link").symlink_to(tmp_path / "f.yaml")
     for name, what in (("pipe", "a device or pipe"), ("link", "a link"), (".", "a folder")):
         asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / name)
-        assert f"is {what}, which is not replaced" in str(command(*asked, "--force").exception)
+        assert f"is {what}, where a file is to be written" in str(command(*asked, "--force").exception)
     assert (tmp_path / "pipe").is_fifo()
     assert (tmp_path / "link").is_symlink()
 

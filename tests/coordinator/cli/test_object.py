@@ -174,7 +174,7 @@ def test_nothing_is_written_of_a_mesh_that_cannot_be_used_nor_over_another_file(
     assert not Path("whole.ply").exists()
     block().export("part.stl")
     done = check("part.stl", "--repaired", "ball.ply")
-    assert isinstance(done.exception, AssetError)
+    assert isinstance(done.exception, FolderError)
     assert done.stdout == ""
 
 
@@ -219,4 +219,4 @@ def test_pictures_go_into_a_folder(check):
     block().export("part.stl")
     done = check("part.stl", "--picture", "part.stl")
     assert isinstance(done.exception, FolderError)
-    assert "'part.stl' is a file, and pictures go into a folder" in str(done.exception)
+    assert "part.stl is a file, where a folder is to be written" in str(done.exception)

@@ -13,7 +13,7 @@ from qdgrasp_coordinator.security.stage import KEYS
 from qdgrasp_coordinator.security.strangers import Knock
 from qdgrasp_coordinator.security.traffic import Way
 from qdgrasp_coordinator.security.verdicts import cells, wide
-from qdgrasp_protocol.errors import SecurityError
+from qdgrasp_protocol.errors import OutputError, SecurityError
 
 ALL = {meeting for way in Way for meeting in allowed(way, KEYS)}
 RESULT = next(key for key in KEYS if "@result" in key)
@@ -24,7 +24,7 @@ OVERHEARD = Meeting(Way.PUT, RESULT, "worker", "monitor, by a wide pattern")
 
 def run(*arguments: object) -> tuple[int, str]:
     done = CliRunner().invoke(security.app, [*map(str, arguments)])
-    if isinstance(done.exception, SecurityError):
+    if isinstance(done.exception, OutputError | SecurityError):
         raise done.exception
     return done.exit_code, done.output
 
@@ -36,7 +36,7 @@ def test_init_writes_a_folder_and_add_another_in_it(tmp_path: Path) -> None:
     code, said = run("add", folder, "worker", "lab-7")
     assert (code, str(folder / "lab-7") in said) == (0, True)
     assert (folder / "lab-7" / "worker.key").is_file()
-    with pytest.raises(SecurityError, match="nothing in it is overwritten"):
+    with pytest.raises(OutputError, match="or add to it with `qdgrasp security add"):
         run("init", folder)
 
 

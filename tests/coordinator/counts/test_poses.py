@@ -144,12 +144,6 @@ def test_scores_are_false_and_zero_for_overlaps(tmp_path):
         assert set(file.files) == set(found)
 
 
-def test_a_place_that_cannot_be_written_is_named_and_nothing_is_left(tmp_path):
-    with pytest.raises(InputError, match="nowhere"):
-        write_scores(tmp_path / "nowhere" / "scores.npz", Shape(genes=7, joints=2).empty(1))
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize("prior", ["contact", "spherical"])
 @pytest.mark.parametrize("hand", ["panda", "barrett", "shadow"])
 def test_rows_as_given_poses_decode_to_the_very_same_grasps(hand: str, prior: str) -> None:

@@ -106,11 +106,11 @@ def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(
 def test_a_file_is_not_written_over_a_folder_nor_a_folder_over_other_files(
     run: RunFolder, tmp_path: Path
 ) -> None:
-    assert "is a folder, and csv is written as a file" in refusal(
+    assert "is a folder, where a file is to be written" in refusal(
         run.path, "--format", "csv", "-o", tmp_path, "--force"
     )
     (tmp_path / "file").touch()
-    assert "is a file, and graspgen is written as a folder" in refusal(
+    assert "is a file, where a folder is to be written" in refusal(
         run.path, "--format", "graspgen", "-o", tmp_path / "file", "--force"
     )
     assert "holds other files" in refusal(run.path, "--format", "graspgen", "-o", run.path, "--force")
@@ -147,16 +147,16 @@ def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: Make
     weak, none = make_run(*[Outcome.DROPPED] * 3, name="weak"), make_run(Outcome.MISSED, name="none")
     out = tmp_path / "out"
     assert refusal(weak.path, "--format", "csv", "-o", out) == (
-        f"{weak.path} has no grasp with a fitness of 1 or more: the best of its 3 successes have 0, and "
+        f"{weak.path} has no grasp with a fitness of 1 or more: the best of its 3 successes has 0, and "
         "--min-fitness 0 writes those."
     )
-    assert "none of its 1 rows is a success" in refusal(none.path, "--format", "csv", "-o", out)
+    assert "there is no success among 1 row." in refusal(none.path, "--format", "csv", "-o", out)
     assert not out.exists()
 
 
 def test_a_run_that_has_not_begun_has_no_grasp(scene: Scene, tmp_path: Path) -> None:
     empty = record(tmp_path / "run", scene, random_rows(scene, []), method="contact_rand")
-    assert "none of its 0 rows is a success" in refusal(empty.path, "--format", "csv", "-o", tmp_path / "out")
+    assert "there is no success among 0 rows" in refusal(empty.path, "--format", "csv", "-o", tmp_path / "out")
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:

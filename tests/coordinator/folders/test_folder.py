@@ -51,7 +51,7 @@ def test_another_run_is_never_overwritten_and_its_resume_is_named(folder: RunFol
 def test_other_files_are_never_mixed_with_a_run(tmp_path: Path) -> None:
     for name in "dcba":
         (tmp_path / name).touch()
-    with pytest.raises(FolderError, match=r"holds other files \(a, b, c \.\.\.\)"):
+    with pytest.raises(FolderError, match=r"holds other files \(a, b, c and 1 more\)"):
         RunFolder.create(tmp_path, SPEC, BUNDLE)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a", "b", "c", "d"]
 
@@ -60,7 +60,7 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
     (tmp_path / "run").touch()
     with pytest.raises(FolderError, match="is a file"):
         RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
-    with pytest.raises(FolderError, match="cannot be written: not a directory"):
+    with pytest.raises(FolderError, match=r"lies below .*, which is a file"):
         RunFolder.create(tmp_path / "run" / "below", SPEC, BUNDLE)
 
 

@@ -14,7 +14,6 @@ from qdgrasp_coordinator.looking.marks import APPROACH, AXES, CONTACT, OTHER, OV
 from qdgrasp_coordinator.looking.picture import LARGEST, SMALLEST, Layout, pictures, write
 from qdgrasp_coordinator.looking.replaying import Replay, Size
 from qdgrasp_coordinator.looking.specimen import Specimen, specimen
-from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.replay import Answer, Camera, Phase, Shot, Touch
 
@@ -183,15 +182,3 @@ def test_a_picture_is_the_last_frame(held: Specimen, tmp_path: Path) -> None:
     write(tmp_path / "a.png", iter(images), shots)
     with Image.open(tmp_path / "a.png") as written:
         assert np.array_equal(np.array(written), np.array(images[-1]))
-
-
-def test_a_picture_that_cannot_be_written_is_refused_and_leaves_nothing(
-    held: Specimen, tmp_path: Path
-) -> None:
-    shots, images = film(held)
-    with pytest.raises(InputError, match=r"No picture can be written to '.*': No such file"):
-        write(tmp_path / "nowhere" / "a.png", iter(images), shots)
-    (tmp_path / "folder.png").mkdir()
-    with pytest.raises(InputError, match=r"No picture can be written"):
-        write(tmp_path / "folder.png", iter(images), shots)
-    assert not list(tmp_path.glob(".*"))

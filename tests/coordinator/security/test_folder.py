@@ -12,7 +12,7 @@ from cryptography import x509
 from qdgrasp_coordinator.security import authority
 from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.errors import ImpossibleValue, SecurityError
+from qdgrasp_protocol.errors import ImpossibleValue, OutputError, SecurityError
 
 HOSTS = ["head", "10.0.0.1", "::1"]
 
@@ -83,17 +83,17 @@ def test_openssl_takes_the_certificates_for_the_authoritys(tmp_path: Path) -> No
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     folder = made(tmp_path)
     before = {path.name: path.read_bytes() for path in folder.path.iterdir()}
-    with pytest.raises(SecurityError, match="nothing in it is overwritten"):
+    with pytest.raises(OutputError, match="or add to it with `qdgrasp security add"):
         made(tmp_path)
     folder.add(Role.WORKER, "lab-7", hosts=HOSTS, days=1)
-    with pytest.raises(SecurityError, match="is there already"):
+    with pytest.raises(OutputError, match="choose another name"):
         folder.add(Role.WORKER, "lab-7", hosts=HOSTS, days=1)
     assert {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()} == before
 
 
 def test_what_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(SecurityError, match="cannot be made"):
+    with pytest.raises(OutputError, match=r"lies below .*, which is a file"):
         SecurityFolder.create(tmp_path / "file" / "security", hosts=HOSTS, days=1)
 
 

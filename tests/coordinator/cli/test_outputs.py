@@ -1,0 +1,171 @@
+"""What every command says of a path that it cannot write to, before it does anything."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import trimesh
+from tests.assets.hands import jaw
+from tests.coordinator.analysis.test_profile import OUTCOMES, run_of
+from tests.coordinator.exchange.foreign import ISAAC
+from tests.coordinator.scenes import SceneMaker
+from typer.testing import CliRunner, Result
+
+from qdgrasp_coordinator.cli.main import app
+from qdgrasp_coordinator.folders import outputs
+from qdgrasp_protocol.errors import OutputError
+
+FILES = {
+    "evaluate": "evaluate --gripper panda --object mug --poses poses.npz --out OUT.npz",
+    "export": "export run --format csv -o OUT.csv",
+    "gripper new": "gripper new jaw.urdf -o OUT.toml",
+    "import": "import grasps.yaml --gripper panda --object mug -o OUT.npz",
+    "object check": "object check part.stl --no-parts --repaired OUT.stl",
+    "render": "render run --grasp 1 -o OUT.png",
+}
+"""Commands that write a file, by name."""
+FOLDERS = {
+    "campaign": "campaign campaign.toml --out OUT",
+    "export graspgen": "export run --format graspgen -o OUT",
+    "merge": "merge run --out OUT",
+    "rerank": "rerank run --out OUT",
+    "run": "run --gripper panda --object mug --evaluations 10 --out OUT",
+    "security init": "security init OUT",
+}
+"""Commands that write a folder."""
+SHARED = {
+    "analyse": "analyse run --out OUT",
+    "asset check": "asset check mug --pictures OUT",
+    "gripper check": "gripper check jaw.urdf --picture OUT",
+    "object check": "object check part.stl --picture OUT",
+}
+"""Commands that put files into a folder beside others."""
+ADDING = {"reference build": "reference build run --out OUT.npz"}
+"""Commands that add to a file."""
+KINDS: dict[str, Callable[[Path], object]] = {
+    "a folder": Path.mkdir,
+    "a link": lambda path: path.symlink_to("jaw.urdf"),
+    "a device or pipe": os.mkfifo,
+}
+"""What may be in the place of a file, and how it comes there."""
+CAMPAIGN = '[[cross]]\ngripper = "panda"\nobject = "mug"\nmethod = "me_rand"\n'
+MAKING = ("export", "export graspgen", "import", "object check", "security init")
+"""Commands that are quick enough to be carried out here."""
+
+
+@pytest.fixture
+def home(tmp_path: Path, make_scene: SceneMaker, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with all that the commands read."""
+    run_of(tmp_path / "run", make_scene(), OUTCOMES)
+    (tmp_path / "jaw.urdf").write_text(jaw.URDF)
+    (tmp_path / "grasps.yaml").write_text(ISAAC)
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "part.stl")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    return tmp_path
+
+
+def done(command: str, out: str) -> Result:
+    return CliRunner().invoke(app, command.replace("OUT", out).split())
+
+
+def refused(command: str, out: str = "out") -> str:
+    error = done(command, out).exception
+    assert isinstance(error, OutputError), error
+    assert error.exit_code == 2
+    return str(error)
+
+
+def written(command: str, out: str = "out") -> Path:
+    """The path that a command is to write to."""
+    return Path(next(word for word in command.split() if "OUT" in word).replace("OUT", out))
+
+
+def flag(command: str) -> str:
+    return next((name for name in ("--repaired", "--pictures", "--picture") if name in command), "--out")
+
+
+def each(*tables: dict[str, str]) -> pytest.MarkDecorator:
+    found = {f"{name} {flag(command)}": command for table in tables for name, command in table.items()}
+    return pytest.mark.parametrize("command", found.values(), ids=found)
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES, FOLDERS, SHARED, ADDING)
+def test_a_path_below_a_file_is_refused(command: str) -> None:
+    Path("taken").write_text("mine")
+    out = written(command, "taken/new/out")
+    assert refused(command, "taken/new/out").startswith(
+        f"{out} lies below {Path('taken').absolute()}, which is a file; name another path"
+    )
+    assert Path("taken").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES, FOLDERS, SHARED, ADDING)
+def test_a_folder_that_may_not_be_written_in_is_refused(
+    command: str, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outputs.os, "access", lambda path, _: Path(path) != home)
+    out = written(command, "new/out")
+    assert refused(command, "new/out").startswith(
+        f"{out} cannot be written: {home} is not to be written in; name another path"
+    )
+    assert not Path("new").exists()
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES)
+def test_a_file_that_is_there_stays(command: str) -> None:
+    out = written(command)
+    out.write_text("mine")
+    force = "" if flag(command) == "--repaired" else ", or replace it with --force"
+    assert refused(command) == f"{out} is there already; name another path with {flag(command)}{force}."
+    assert out.read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES, ADDING)
+def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
+    out = written(command)
+    for what, make in KINDS.items():
+        make(out)
+        assert refused(command) == (
+            f"{out} is {what}, where a file is to be written; name another path with {flag(command)}."
+        )
+        out.rmdir() if what == "a folder" else out.unlink()
+
+
+@pytest.mark.usefixtures("home")
+@each(FOLDERS, SHARED)
+def test_a_folder_takes_the_place_of_no_file(command: str) -> None:
+    Path("out").write_text("mine")
+    assert refused(command).startswith("out is a file, where a folder is to be written; name another path")
+    assert Path("out").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@each(FOLDERS)
+def test_a_folder_takes_the_place_of_no_other_files(command: str) -> None:
+    Path("out").mkdir()
+    Path("out/thesis").write_text("mine")
+    assert refused(command).startswith("out holds other files (thesis); name another path")
+    assert Path("out/thesis").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@each({name: command for name, command in {**FILES, **FOLDERS}.items() if name in MAKING})
+def test_folders_on_the_way_are_made(command: str) -> None:
+    assert done(command, "new/folder/out").exit_code == 0
+    assert written(command, "new/folder/out").exists()
+
+
+@pytest.mark.parametrize("name", ["export", "gripper new", "import", "object check"])
+def test_what_is_refused_for_another_reason_makes_no_folder(home: Path, name: str) -> None:
+    for file in ("jaw.urdf", "grasps.yaml", "run/run.sqlite", "part.stl"):
+        (home / file).write_text("damaged")
+    before = sorted(home.iterdir())
+    assert done(FILES[name], "new/folder/out").exit_code != 0
+    assert sorted(path for path in home.iterdir() if path.name != "cache") == before
