@@ -13,7 +13,7 @@ from qdgrasp_worker.surface import Surface
 from qdgrasp_worker.world import World
 
 
-@pytest.mark.parametrize(("target", "n", "simulated"), [("tennis_ball", 900, 400), ("mug", 3000, 150)])
+@pytest.mark.parametrize(("target", "n", "simulated"), [("tennis_ball", 450, 200), ("mug", 1500, 75)])
 @pytest.mark.parametrize("trial", [0, 1])
 def test_ending_a_closing_whose_object_has_left_changes_no_verdict(
     target, n, simulated, trial, make_scene, draw

@@ -22,7 +22,7 @@ from qdgrasp_worker.surface import Surface
 from qdgrasp_worker.trial import Trial
 from qdgrasp_worker.world import AWAY, World
 
-POSES = 300
+POSES = 120
 AGREEMENT = 0.95
 MESH = '<mesh filename="parts.obj"/>'
 
@@ -57,7 +57,7 @@ def outcomes(world: World, poses: list[Pose]) -> list[Outcome]:
 
 
 def touching(scene, poses: list[Pose]) -> tuple[list[Pose], list[Outcome]]:
-    """The first 300 poses that touch the object, half of them successes, with their outcomes."""
+    """The first POSES poses that touch the object, half of them successes, with their outcomes."""
     world, successes, brushes = World(scene), [], []
     for pose in poses:
         outcome = Episode(world, PAPER).run(Trial(pose)).outcome

@@ -148,23 +148,20 @@ def test_the_genomes_reach_every_phase(rows):
     assert sum(outcome.is_grasp for outcome in outcomes) >= 15
 
 
-def test_another_order_gives_the_same_bytes(evaluate, genomes, rows):
-    assert results(evaluate(genomes[::-1])) == results(rows[::-1])
-
-
-@pytest.mark.parametrize("batch", [1, 37])
-def test_another_order_in_other_batches_gives_the_same_bytes(evaluate, genomes, rows, batch):
-    place = np.random.default_rng(batch).permutation(len(genomes))
+@pytest.mark.parametrize(("batch", "part"), [(1, 0), (37, 1)])
+def test_another_order_in_other_batches_gives_the_same_bytes(evaluate, genomes, rows, batch, part):
+    place = np.random.default_rng(3).permutation(len(genomes))[part::2]
     assert results(evaluate(genomes[place], batch)) == results(rows[place])
 
 
 def test_a_world_of_its_own_for_each_genome_gives_the_same_bytes(evaluate, genomes, rows):
-    some = slice(8, 28)
-    alone = [evaluate(genome[None]) for genome in genomes[some]]
-    assert results(np.concatenate(alone)) == results(rows[some])
+    _, first = np.unique(rows["outcome"], return_index=True)  # one of each outcome
+    alone = [evaluate(genome[None]) for genome in genomes[first]]
+    assert results(np.concatenate(alone)) == results(rows[first])
 
 
 def test_another_process_gives_the_same_bytes(case, scene, genomes, rows, tmp_path):
+    genomes, rows = genomes[::3], rows[::3]
     np.save(tmp_path / "genomes.npy", genomes)
     (tmp_path / "scene").write_bytes(pack_scene(scene).payload)
     subprocess.run([sys.executable, "-c", ELSEWHERE, str(tmp_path), case[0]], check=True, timeout=PATIENCE)

@@ -17,7 +17,7 @@ from qdgrasp_worker.evaluate import Evaluator
 from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 
 GENOMES = 900
-FEW = {Outcome.DROPPED: 3, Outcome.SHAKEN: 2, Outcome.HELD: 1}
+FEW = {Outcome.DROPPED: 1, Outcome.SHAKEN: 1, Outcome.HELD: 1}
 MANY = {Outcome.DROPPED: 18, Outcome.SHAKEN: 14, Outcome.HELD: 10}
 """How many successes of each outcome are tried a hundred times."""
 ELSEWHERE = """
@@ -73,10 +73,10 @@ def results(rows, *but: str):
     return pack(rows, [column for column in RESULT if column.name not in but])
 
 
-def test_trial_zero_is_the_evaluation_of_paper_to_the_byte(make_scene, genomes, nominal):
-    assert results(evaluated(make_scene("panda", "tennis_ball", "paper"), genomes, nominal["trial"])) == (
-        results(nominal)
-    )
+def test_trial_zero_is_the_evaluation_of_paper_to_the_byte(make_scene, nominal):
+    some = nominal[::3]
+    paper = make_scene("panda", "tennis_ball", "paper")
+    assert results(evaluated(paper, some["genome"], some["trial"])) == results(some)
 
 
 @pytest.mark.parametrize(
