@@ -1,28 +1,45 @@
-"""Every error that qdgrasp raises on purpose.
+"""Every error that qdgrasp raises on purpose; those of one module alone are made there.
 
 * QdgraspError
     * InputError             bad input or environment: exit code 2
         * UnknownName            a name that no table has
         * UnknownKey             a key that no field of a spec has
         * ImpossibleValue        a value outside what a field allows
+        * EndsTooSoon            a run that is to end before what is recorded of it
+        * JawNeeded              a prior for two-finger hands, and a hand that is none
         * AssetError             a file, mesh, URDF or gripper that cannot be used
-            * WrongScan          what was fetched is not what it must be
-            * UnusableMeshes     mesh files of which no objects can be made
+            * WrongScan              what was fetched is not what it must be
+            * UnusableMeshes         mesh files of which no objects can be made
+            * TookTooLong            a mesh that is not decomposed in time
         * FolderError            a run folder that cannot be used
+            * NoFolder               a path where no folder is
             * DiskFull               there is no room to write in it
             * OutputError            a path where something cannot be written
+        * NoSuchRow              a number that no row of a journal has
+        * NoSuchTrial            a trial that is not recorded of a row
+        * NoPose                 a row without a pose that could be shown
+        * Unusable               a file that no grasps can be read from
         * ReplayError            a journal that its own spec does not replay to
         * RunFailed              a run of a job that cannot be carried out
         * RunsFailed             runs of a job that could not be, when the others are
-        * JawNeeded              a prior for two-finger hands, and a hand that is none
         * EndpointError          an endpoint that cannot be listened on or reached
+            * NotListening           a router cannot listen there
+            * Unreachable            no router answers there
         * SecurityError          certificates or keys that cannot be used
+        * Trouble                something that a run needs is not on this machine
     * BusError               the bus did not do what was asked
         * Refused                the other side answered with a reason why not
+            * PlatformDiffers        a worker's platform is not the job's
+            * RefusedByJob           the only job of a worker does not take it: exit code 2
         * NoReply                nobody answered
         * Faulty                 the other side failed by a fault of its own
     * MessageError           a message that is not of the protocol; counted and dropped
+        * TooLarge               a scene that is larger than one can be
     * RecorderFellBack       a recorder that no longer has the rows it reported durable
+    * NoSimulator            a simulator that ends before it has evaluated the probes
+    * OtherPlatform          the package was changed while a worker ran
+    * NotReplayed            the process that replays ended without an answer
+    * BadVerdict             what an evaluator gave is no verdict on what it was given
     * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
         * Cancelled              somebody told the coordinator to end: its exit code is 0
         * TookOver               another coordinator goes on with it: exit code 3
@@ -120,6 +137,25 @@ class UnusableMeshes(AssetError):
 
 class FolderError(InputError):
     """A run folder that cannot be used."""
+
+
+class NoFolder(FolderError):
+    """A path where the folder of a run or of a job is to be, and none is.
+
+    Parameters
+    ----------
+    path
+        What was named.
+    is_there
+        Whether something else is there.
+    """
+
+    def __init__(self, path: object, *, is_there: bool) -> None:
+        super().__init__(
+            f"{path} is no folder; name that of a run."
+            if is_there
+            else f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there."
+        )
 
 
 class DiskFull(FolderError):

@@ -9,6 +9,7 @@ import msgspec
 
 from qdgrasp_coordinator.analysis.history import History, history
 from qdgrasp_coordinator.analysis.target import Target, Targets
+from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import SPEC, RunFolder
 from qdgrasp_coordinator.folders.job_folder import RUNS
 from qdgrasp_coordinator.searches.search import METHODS
@@ -92,11 +93,10 @@ def run_folders(path: Path) -> list[RunFolder]:
 
     Raises
     ------
-    FolderError
+    NoFolder, FolderError
         There is no such folder, or no run of a search in it.
     """
-    if not path.is_dir():
-        raise FolderError(f"There is no folder {path}; name a campaign's folder, or one with run folders.")
+    disk.check_folder(path)
     home = path / RUNS if (path / RUNS).is_dir() else path
     places = [path] if (path / SPEC).is_file() else sorted(home.iterdir())
     runs = [RunFolder(place) for place in places if (place / SPEC).is_file()]

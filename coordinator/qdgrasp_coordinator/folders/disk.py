@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
 
-from qdgrasp_protocol.errors import DiskFull, FolderError, OutputError
+from qdgrasp_protocol.errors import DiskFull, FolderError, NoFolder, OutputError
 
 LONGEST = 200
 """Bytes of a name that are told in another one."""
@@ -47,6 +47,26 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def is_folder(path: Path) -> bool:
+    """The same of a folder."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
+def check_folder(path: Path) -> None:
+    """Check that there is a folder to read from.
+
+    Raises
+    ------
+    NoFolder
+        There is none.
+    """
+    if not is_folder(path):
+        raise NoFolder(path, is_there=os.path.lexists(path))
 
 
 def create(

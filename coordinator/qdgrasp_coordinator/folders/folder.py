@@ -66,13 +66,10 @@ class RunFolder:
 
         Raises
         ------
-        FolderError
+        NoFolder, FolderError
             There is no such folder, or no run in it.
         """
-        if not path.is_dir():
-            raise FolderError(
-                f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there."
-            )
+        disk.check_folder(path)
         if not cls.is_run(path):
             raise FolderError(_no_run(path))
         return cls(path)

@@ -73,13 +73,10 @@ class JobFolder:
 
         Raises
         ------
-        FolderError
+        NoFolder, FolderError
             There is no such folder, or no job in it.
         """
-        if not path.is_dir():
-            raise FolderError(
-                f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there."
-            )
+        disk.check_folder(path)
         if not cls.is_job(path):
             raise FolderError(f"{path} holds no run and no campaign: there is no {JOB} in it.")
         return cls(path)

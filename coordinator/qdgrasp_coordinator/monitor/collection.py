@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
+from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_protocol.errors import FolderError, UnknownName
@@ -36,8 +37,8 @@ class Collection:
 
     Raises
     ------
-    FolderError
-        There is none in a folder.
+    NoFolder, FolderError
+        A path is no folder, or there is none in it.
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
@@ -77,17 +78,14 @@ def _found(path: Path) -> Iterator[tuple[JobFolder, Path | None]]:
     if RunFolder.is_run(path):
         yield RunFolder(path).job, path.absolute()
         return
-    inside = sorted(each for each in path.glob("[!.]*") if JobFolder.is_job(each)) if path.is_dir() else []
+    disk.check_folder(path)
+    inside = sorted(each for each in path.glob("[!.]*") if JobFolder.is_job(each))
     if not inside:
-        raise FolderError(_nothing(path))
+        raise FolderError(
+            f"{path} holds no run and no campaign, nor does a folder in it: there is no job.json."
+        )
     for each in inside:
         yield JobFolder(each), None
-
-
-def _nothing(path: Path) -> str:
-    if not path.is_dir():
-        return f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there."
-    return f"{path} holds no run and no campaign, nor does a folder in it: there is no job.json."
 
 
 def _free(name: str, taken: dict[str, Collected]) -> str:
