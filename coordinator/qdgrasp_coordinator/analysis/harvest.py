@@ -61,7 +61,8 @@ def build(folders: Iterable[RunFolder], out: Path, name: str | None = None, *, m
     AssetError
         The file holds sets that do not say what they were built from.
     InputError
-        Runs with another gripper, on another object or, unless `mixed`, under another protocol.
+        Runs with another gripper, on another object or, unless `mixed`, under another protocol; no run of an
+        object has a success.
     FolderError
         A run cannot be read, the file cannot be written, or another process is adding to it.
     """
@@ -71,6 +72,7 @@ def build(folders: Iterable[RunFolder], out: Path, name: str | None = None, *, m
     gathered: Sets = {}
     for folder in folders:
         _add(gathered, harvested(folder, name), folder.path, mixed)
+    _check_some(gathered)
     home = out.absolute().parent
     with disk.writing(out, output.instead), disk.way(home), lock.exclusive(home, f".{out.name}.lock"):
         sets = _known(out)
@@ -78,6 +80,14 @@ def build(folders: Iterable[RunFolder], out: Path, name: str | None = None, *, m
             _add(sets, found, out, mixed)
         _write(output, sets)
     return {name: sets[name] for name in gathered}
+
+
+def _check_some(gathered: Sets) -> None:
+    for name, found in gathered.items():
+        if not len(found):
+            raise InputError(
+                f"There is no cell for a set of '{name}': no row of its runs is a success; leave them out."
+            )
 
 
 def harvested(folder: RunFolder, name: str | None = None) -> ReferenceSet:

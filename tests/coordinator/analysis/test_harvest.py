@@ -115,9 +115,17 @@ def test_one_file_holds_several_objects_of_a_gripper(run: Runs, tmp_path: Path) 
     assert entries(out, "mug") == {B: 2}
 
 
-def test_a_run_without_success_makes_an_empty_set(run: Runs, tmp_path: Path) -> None:
-    build([run({A: Outcome.MISSED})], tmp_path / "set.npz")
-    assert entries(tmp_path / "set.npz") == {}
+def test_no_set_is_made_of_runs_without_a_success(run: Runs, tmp_path: Path) -> None:
+    found, missed = run({A: Outcome.HELD}), run({A: Outcome.MISSED})
+    other = run({A: Outcome.MISSED}, object_="cup.stl", com=0.01)
+    for folders, name in (([missed], "block"), ([found, other], "cup")):
+        with pytest.raises(
+            InputError, match=f"no cell for a set of '{name}': no row of its runs is a success"
+        ):
+            build(folders, tmp_path / "set.npz")
+        assert not (tmp_path / "set.npz").exists()
+    build([missed, found], tmp_path / "set.npz")
+    assert entries(tmp_path / "set.npz") == {A: 2}
 
 
 def test_runs_that_do_not_belong_together_are_refused_and_the_file_stays(run: Runs, tmp_path: Path) -> None:
