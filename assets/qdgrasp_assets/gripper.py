@@ -14,6 +14,7 @@ from msgspec import Struct
 
 from qdgrasp_assets.carrier import CARRIERS
 from qdgrasp_assets.files import amiss, on_asset_path, searched
+from qdgrasp_assets.finite import endless
 from qdgrasp_assets.hands.meshes import missing_meshes
 from qdgrasp_assets.hands.motion import kind_fault
 from qdgrasp_assets.hands.source import read_source
@@ -265,6 +266,9 @@ def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
 
     Names exist, every joint that moves is told of, numbers are possible.
     """
+    if numbers := tuple(endless(file)):
+        yield from numbers
+        return
     unknown = tuple(_unknown(robot, "base_link", [file.base_link], robot.links))
     yield from unknown
     if not unknown:
