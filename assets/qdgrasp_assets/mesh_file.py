@@ -90,7 +90,7 @@ def check_file(path: Path) -> None:
         raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
     if size > LARGEST:
         raise AssetError(
-            f"The mesh '{path}' has {size / 1e9:.1f} GB, more than is read ({LARGEST / 1e9:.1f}): simplify it; "
+            f"The mesh '{path}' has {size} bytes, and at most {LARGEST >> 30} GiB are read: simplify it; "
             "20 000 triangles show a finger as much."
         )
 

@@ -1,11 +1,14 @@
 """Reading and writing mesh files."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 
 from qdgrasp_assets import mesh_file
-from qdgrasp_assets.mesh_file import WRITTEN, read_mesh_file, to_bytes
+from qdgrasp_assets.mesh_file import LARGEST, WRITTEN, read_mesh_file, to_bytes
 from qdgrasp_assets.objects.solids import box
 from qdgrasp_assets.solid import read_draft, read_solid
 from qdgrasp_protocol.errors import AssetError
@@ -113,3 +116,11 @@ def test_a_damaged_stl_is_told_for_what_it_is(tmp_path):
     with pytest.raises(AssetError, match=r"part\.stl' (is damaged|cannot be read)") as refused:
         read_mesh_file(path)
     assert "module" not in str(refused.value).lower()
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    part = tmp_path / "part.stl"
+    part.touch()
+    os.truncate(part, LARGEST + 1)
+    with pytest.raises(AssetError, match=r"part\.stl' has 1073741825 bytes, and at most 1 GiB are read"):
+        read_mesh_file(part)
