@@ -11,6 +11,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.analysis.fitness import COLOURS, WORDS
 from qdgrasp_coordinator.analysis.growth import Growth, growth
 from qdgrasp_coordinator.analysis.layers import FINE
+from qdgrasp_coordinator.analysis.lettering import lettered
 from qdgrasp_coordinator.analysis.views import (
     View,
     best_in_cells,
@@ -75,7 +76,7 @@ def _in_words(successes: Rows, grown: Growth) -> str:
 def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> None:
     made = "" if spec is None else f"{spec.method}, seed {spec.seed}, "
     title = f"{scene.gripper.name}  on  {scene.object.name}"
-    figure.text(0.022, 0.951, title, size=26, weight="bold", color=INK, va="center")
+    figure.text(0.022, 0.951, lettered(title), size=26, weight="bold", color=INK, va="center")
     words = f"{made}protocol {scene.protocol}:   {found}"
     figure.text(0.022, 0.911, words, size=13.5, color=FAINT, va="center")
 

@@ -17,6 +17,7 @@ from qdgrasp_assets.solidity import Edges
 from qdgrasp_assets.target import Target
 from qdgrasp_coordinator.analysis.hand import Hand, hand
 from qdgrasp_coordinator.analysis.layers import FINE, Image
+from qdgrasp_coordinator.analysis.lettering import lettered
 from qdgrasp_coordinator.analysis.picture import FAINT, INK
 from qdgrasp_coordinator.analysis.rays import FIELD, Camera, Floats, Solid, camera
 from qdgrasp_coordinator.analysis.views import CLAY, ELEVATION, HUES, paint_solid, rgb
@@ -148,8 +149,8 @@ def _two_views(
     points = np.concatenate([np.zeros((1, 3)), BEYOND * tips, *(mesh.vertices for mesh in meshes)])
     seen = camera(points, AZIMUTH, ELEVATION, FINE * PIXELS, FINE * PIXELS, field)
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-    figure.text(0.022, 0.945, name, size=20, weight="bold", color=INK, va="center")
-    figure.text(0.022, 0.89, words, size=11, color=FAINT, va="center")
+    figure.text(0.022, 0.945, lettered(name), size=20, weight="bold", color=INK, va="center")
+    figure.text(0.022, 0.89, lettered(words), size=11, color=FAINT, va="center")
     views = [figure.add_axes((0.02 + 0.49 * turn, 0.02, 0.47, 0.8)) for turn in range(len(panels))]
     for axes, (title, pieces) in zip(views, panels.items(), strict=True):
         axes.imshow(_painted(pieces, seen), interpolation="none")

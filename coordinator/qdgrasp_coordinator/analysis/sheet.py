@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
+from qdgrasp_coordinator.analysis.lettering import lettered
 from qdgrasp_coordinator.analysis.palette import FAINT, INK, RULE
 
 DPI = 200
@@ -62,8 +63,10 @@ class Sheet:
         """What the figure shows, and under it how."""
         width, height = self.size
         x = 0.3 / width
-        self.figure.text(x, 1 - 0.32 / height, title, size=14, weight="bold", color=INK, va="center")
-        self.figure.text(x, 1 - 0.6 / height, words, size=8.5, color=FAINT, va="center")
+        self.figure.text(
+            x, 1 - 0.32 / height, lettered(title), size=14, weight="bold", color=INK, va="center"
+        )
+        self.figure.text(x, 1 - 0.6 / height, lettered(words), size=8.5, color=FAINT, va="center")
 
     def legend(self, handles: list[Line2D], columns: int, length: float = 3.2) -> None:
         """Name the lines, drawn `length` letters long, `columns` side by side, filled column by column."""
@@ -103,7 +106,7 @@ def heading(axes: Axes, words: str, *under: str, color: str = INK) -> None:
 
 def above(axes: Axes, words: str, height: float, **style: Any) -> None:
     """Words above a panel, `height` points over its upper left corner."""
-    axes.annotate(words, (0, 1), (0, height), xycoords="axes fraction", textcoords="offset points",
+    axes.annotate(lettered(words), (0, 1), (0, height), xycoords="axes fraction", textcoords="offset points",
                   annotation_clip=False, **style)  # fmt: skip
 
 

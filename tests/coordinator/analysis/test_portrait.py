@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image
@@ -6,6 +7,7 @@ import pytest
 
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.objects.stand_ins import stand_in
+from qdgrasp_coordinator.analysis.lettering import BOX, lettered
 from qdgrasp_coordinator.analysis.portrait import draw_gripper, draw_object, seen_at
 from qdgrasp_coordinator.analysis.rays import camera
 
@@ -40,6 +42,19 @@ def test_an_object_is_drawn_with_its_parts_in_colours(tmp_path: Path) -> None:
 
     assert share_drawn(surface) == pytest.approx(share_drawn(parts), rel=0.05)
     assert colourful(parts) > 10 * colourful(surface)
+
+
+@pytest.mark.parametrize("name", ["\u5341\u5b57", "price $5$", r"$\frac$", "\U0001f600", "a\tb"])
+@pytest.mark.filterwarnings("error")
+def test_any_name_is_drawn_and_nothing_is_complained_of(tmp_path: Path, name: str) -> None:
+    mug = stand_in("mug")
+    draw_object(replace(mug, name=name), tmp_path / "mug.png")
+    assert share_drawn(halves(tmp_path / "mug.png")[0]) > 0.05
+
+
+def test_letters_that_the_font_lacks_are_boxes_and_others_stay() -> None:
+    assert lettered("\u5341 caf\u00e9, 5 \u00b5m") == f"{BOX} caf\u00e9, 5 \u00b5m"
+    assert lettered("a\nb") == "a\nb"
 
 
 def test_a_point_is_marked_where_the_camera_shows_it() -> None:
