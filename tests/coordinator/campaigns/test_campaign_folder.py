@@ -39,7 +39,7 @@ def test_a_campaign_may_grow_by_runs_and_evaluations(path: Path) -> None:
 
 
 def test_a_campaign_that_lost_a_run_is_refused_and_its_folder_left_as_it_was(path: Path) -> None:
-    with pytest.raises(FolderError, match=r"1 runs that are not asked for any more, such as '.*-s1'"):
+    with pytest.raises(FolderError, match=r"1 run that is not asked for any more, such as '.*-s1'"):
         begin(path, asked(seed=0))
     assert read_campaign(path / CAMPAIGN).runs == asked().runs
 

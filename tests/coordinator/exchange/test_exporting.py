@@ -156,7 +156,8 @@ def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: Make
 
 def test_a_run_that_has_not_begun_has_no_grasp(scene: Scene, tmp_path: Path) -> None:
     empty = record(tmp_path / "run", scene, random_rows(scene, []), method="contact_rand")
-    assert "there is no success among 0 rows" in refusal(empty.path, "--format", "csv", "-o", tmp_path / "out")
+    said = refusal(empty.path, "--format", "csv", "-o", tmp_path / "out")
+    assert "there is no success among 0 rows" in said
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
