@@ -11,6 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from qdgrasp_protocol.errors import InputError, QdgraspError
+from qdgrasp_protocol.lifetime import HEARD
 from qdgrasp_protocol.printable import printable
 from qdgrasp_protocol.usage import misuse
 
@@ -20,26 +21,30 @@ PATIENCE = 1.5  # seconds that a command outside of a `lifetime` may take to hea
 def run_command(app: typer.Typer, name: str) -> None:
     """Run a command line; what goes wrong ends it with a sentence on standard error and an exit code."""
     try:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, _terminated)
+        for number in HEARD:
+            signal.signal(number, _stopped)
         _end_by_force_if_need_be()
         code = app(prog_name=name, standalone_mode=False)
     except QdgraspError as error:
         code = _said(name, str(error), error.exit_code)
     except TyperException as error:
         code = _misused(name, error)
-    except (KeyboardInterrupt, typer.Abort):
+    except typer.Abort:
         code = 130
     except BrokenPipeError:
         code = 141
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in HEARD:
             signal.signal(number, _leave)
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _terminated(number: int, _frame: FrameType | None) -> None:
-    """End a command that is not in a `lifetime` yet, through its with-blocks."""
+def _stopped(number: int, _frame: FrameType | None) -> None:
+    """End a command that is not in a `lifetime` yet, through its with-blocks.
+
+    Not by a KeyboardInterrupt: Python kills itself at its end where one has left an `exec` of a text, as
+    there are in every dataclass that is being loaded.
+    """
     raise SystemExit(128 + number)
 
 
@@ -60,8 +65,7 @@ def _end_by_force_if_need_be() -> None:
 
 
 def _wait_for_a_note(end: int) -> None:
-    numbers = {signal.SIGINT, signal.SIGTERM}
-    while (number := os.read(end, 1)[0]) not in numbers:
+    while (number := os.read(end, 1)[0]) not in HEARD:
         pass
     time.sleep(PATIENCE)
     os._exit(128 + number)
@@ -71,14 +75,14 @@ def _misused(name: str, error: TyperException) -> int:
     """Say what was wrong with a command line; one with nothing in it is answered with the whole help."""
     words = error.format_message()
     if words.startswith("Usage: "):
-        print(words, file=sys.stderr, flush=True)  # noqa: T201 - help is for a person who asked for nothing else
+        print(words, file=sys.stderr, flush=True)  # noqa: T201  # help is for a person who asked for nothing else
         return InputError.exit_code
     return _said(name, misuse(error, name), InputError.exit_code)
 
 
 def _said(name: str, sentence: str, code: int) -> int:
     try:
-        print(f"{name}: {_plain(sentence)}", file=sys.stderr, flush=True)  # noqa: T201 - speaks without a logger
+        print(f"{name}: {_plain(sentence)}", file=sys.stderr, flush=True)  # noqa: T201  # speaks without a logger
     except OSError:
         sys.stderr = None  # a full disk: nothing may be left to flush at the exit
     return code
