@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from qdgrasp.evaluations import Evaluations
     from qdgrasp.optimising import Search, optimise
     from qdgrasp.places import Place
-    from qdgrasp.runs import Run, open  # noqa: A004 - said as qdgrasp.open
+    from qdgrasp.runs import Run, open  # noqa: A004  # said as qdgrasp.open
     from qdgrasp.scoring import evaluate
     from qdgrasp.serving import serve
     from qdgrasp_assets.scene import Scene

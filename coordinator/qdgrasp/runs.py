@@ -106,7 +106,7 @@ class Run:
             return journal.shape.empty(0)
 
 
-def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001 - said as qdgrasp.open
+def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001  # said as qdgrasp.open
     """Open the folder of a run, to read.
 
     Raises

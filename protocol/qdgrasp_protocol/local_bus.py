@@ -84,7 +84,7 @@ class Answerer(Entry):
         with self._turn:
             try:
                 answer.set_result(self._handler(query))
-            except Exception as error:  # noqa: BLE001 - whatever it is, the asker is told and the log too
+            except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
                 answer.set_exception(failure(error, query.key))
 
 

@@ -280,7 +280,7 @@ class ZenohBus(Bus):
     def close(self) -> None:
         """Close the session; a process that does not hangs at its end."""
         self._held.clear()
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
 
     def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
         """Declare something whose callback logs what it raises and falls silent with the declaration."""
@@ -365,7 +365,7 @@ def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:
         values = handler(Query(key, str(query.parameters), payload))
-    except Exception as error:  # noqa: BLE001 - whatever it is, the asker is told and the log too
+    except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
         told = failure(error, key)
         for kind, encoding in TOLD.items():
             if isinstance(told, kind):

@@ -86,8 +86,12 @@ def _reached(element: ET.Element, roots: Iterable[str]) -> set[str]:
 def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
     """The parent and child link of each joint; empty where it names none."""
     for joint in element.findall("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        yield tuple("" if end is None else end.get("link", "") for end in (parent, child))  # type: ignore[misc]
+        yield _end(joint, "parent"), _end(joint, "child")
+
+
+def _end(joint: ET.Element, which: str) -> str:
+    end = joint.find(which)
+    return "" if end is None else end.get("link", "")
 
 
 def listed(kind: str, names: list[str]) -> str:

@@ -31,8 +31,10 @@ def weigh(hand: Urdf, corners: Corners) -> Iterator[str]:
             continue
         for old in link.findall("inertial"):
             link.remove(old)
-        link.append(_inertial(corners(hand, name)))
-        given.append(f"{name} {float(link.find('inertial/mass').get('value')):.3g}")  # type: ignore[union-attr,arg-type]
+        inertial = _inertial(corners(hand, name))
+        link.append(inertial)
+        (mass,) = inertial.iter("mass")
+        given.append(f"{name} {float(mass.get('value', 0)):.3g}")
     if given:
         yield (
             f"{listed('link', [words.partition(' ')[0] for words in given])} given a mass, by the size of "

@@ -22,7 +22,10 @@ from qdgrasp_protocol.trials import trials
 SUCCESS = "a finger touches the object after closing"
 GRASP = "a success that survives at least one of the two shakes: fitness 1 or 2"
 FITNESS = "shakes survived in the nominal evaluation: 0, 1 or 2; higher is better"
-ETA = "the share of shakes survived in all trials with disturbed pose and friction, the estimated probability of transfer"  # noqa: E501
+ETA = (
+    "the share of shakes survived in all trials with disturbed pose and friction, "
+    "the estimated probability of transfer"
+)
 MESH_FILE = "the mesh file"
 MESH_WRITTEN = "the mesh that `qdgrasp export --format graspgen --frame mesh` writes"
 """Of an object that is built in or from the asset path."""

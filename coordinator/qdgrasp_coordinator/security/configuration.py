@@ -5,7 +5,7 @@ from qdgrasp_protocol.credentials import Credentials, Role
 from qdgrasp_protocol.endpoint import PORT, Endpoint
 from qdgrasp_protocol.session import settings, to_json5
 
-EVERYWHERE = "0.0.0.0"  # noqa: S104 - links are encrypted, and both sides show certificates
+EVERYWHERE = "0.0.0.0"  # noqa: S104  # links are encrypted, and both sides show certificates
 ROUTER = """\
 A router of qdgrasp: `zenohd -c router.json5` or `qdgrasp-router --security DIR` reads it.
 Written by `qdgrasp security init`: mutual TLS, and whatever is not allowed here is denied.

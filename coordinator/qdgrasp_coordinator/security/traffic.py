@@ -24,7 +24,7 @@ class Way(StrEnum):
     """One publishes, the others hear."""
     QUERY = "query"
     """One asks, the others answer."""
-    TOKEN = "token"  # noqa: S105 - a sign of life
+    TOKEN = "token"  # noqa: S105  # a sign of life
     """One is alive, the others watch."""
 
 

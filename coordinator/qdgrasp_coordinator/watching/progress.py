@@ -80,7 +80,7 @@ class PlainLines:
 
     def say(self, sentence: str) -> None:
         """Print a line."""
-        print(sentence, file=sys.stderr, flush=True)  # noqa: T201 - progress is what this prints
+        print(sentence, file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints
 
 
 @contextmanager

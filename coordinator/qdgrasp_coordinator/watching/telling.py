@@ -64,4 +64,4 @@ class _Latest:
 
 
 def _print(sentence: str) -> None:
-    print(sentence, file=sys.stderr, flush=True)  # noqa: T201 - progress is what this prints
+    print(sentence, file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints

@@ -174,7 +174,7 @@ def main(load: Load = load_scene, probe: Probe = platform) -> None:
         serve(line, load, probe)
     except (BrokenPipeError, ConnectionResetError):
         sys.exit(0)  # the worker is gone
-    except Exception as error:  # noqa: BLE001 - whatever it is, the worker is told
+    except Exception as error:  # noqa: BLE001  # whatever it is, the worker is told
         line.send(encode(Broken(reason=f"{type(error).__name__}: {error}")))
         sys.exit(1)
 

@@ -160,4 +160,4 @@ class Memberships:
 
 def jitter() -> float:
     """By how much a pause is stretched, so that not all workers ask at once: 0.5 to 1.5."""
-    return random.uniform(0.5, 1.5)  # noqa: S311
+    return random.uniform(0.5, 1.5)  # noqa: S311  # nothing is kept secret by it

@@ -24,7 +24,7 @@ CHARACTERS = "characters of ASCII without spaces"
 READING = ("GET", "HEAD")
 OPEN = ("/static/style.css",)
 """What the page that asks for the token is drawn with."""
-EVERYWHERE = ("", "::", "0.0.0.0")  # noqa: S104 - it is only compared with
+EVERYWHERE = ("", "::", "0.0.0.0")  # noqa: S104  # it is only compared with
 SAFE = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'",

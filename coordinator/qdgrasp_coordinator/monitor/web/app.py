@@ -44,7 +44,7 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self._site = site
 
-    def capture_signals(self) -> nullcontext[None]:  # type: ignore[override]
+    def capture_signals(self) -> nullcontext[None]:  # type: ignore[override]  # any with-block does
         """Leave them."""
         return nullcontext()
 

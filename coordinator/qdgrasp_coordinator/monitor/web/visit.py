@@ -15,7 +15,7 @@ class Visit(H11Protocol):
 
     _deadline: asyncio.TimerHandle | None = None
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in H11Protocol: over TCP
         """Begin; whoever has many already is shut out alone."""
         super().connection_made(transport)
         if self.others >= GUESTS:
