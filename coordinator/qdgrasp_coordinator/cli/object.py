@@ -2,16 +2,14 @@
 
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from qdgrasp_assets.catalog import object_names
-from qdgrasp_assets.convex import TIME_LIMIT, Tell, quietly
+from qdgrasp_assets.convex import TIME_LIMIT, quietly
 from qdgrasp_assets.files import amiss, named_path
 from qdgrasp_assets.inspection import Inspection, inspect
 from qdgrasp_assets.mesh_file import WRITTEN, to_bytes
@@ -21,6 +19,7 @@ from qdgrasp_assets.units import in_words, scale_of
 from qdgrasp_coordinator.cli import findings, options
 from qdgrasp_coordinator.cli.pictures import picture_folder
 from qdgrasp_coordinator.folders.outputs import OutFile, SharedFolder
+from qdgrasp_coordinator.watching.telling import telling
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import run_spec
@@ -72,7 +71,8 @@ def check(
     metres, path = _checked(units, scale, mass), _found(file)
     drawing, writing = picture_folder(picture, "--picture"), _mesh_file(repaired)
     draft = read_draft(path, metres, fill_holes=fill_holes)
-    with _told(as_json) as tell:
+    with nullcontext(quietly) if as_json else telling() as tell:
+        tell("looking at its surface")
         found = inspect(
             draft,
             file,
@@ -114,19 +114,6 @@ def _mesh_file(path: Path | None) -> OutFile | None:
     file = OutFile(path, "name another path with --repaired", WRITTEN, force=None)
     file.check()
     return file
-
-
-@contextmanager
-def _told(is_quiet: bool) -> Iterator[Tell]:
-    """Show what takes long, and for how long it has, on a terminal."""
-    console = Console(stderr=True)
-    if is_quiet or not console.is_terminal:
-        yield quietly
-        return
-    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as shown:
-        task = shown.add_task("looking at its surface")
-        yield lambda sentence: shown.update(task, description=sentence)
 
 
 def _made(
