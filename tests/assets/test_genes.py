@@ -1,8 +1,8 @@
 """Which genes priors have, and where they can bring the hand."""
 
-import msgspec
 import numpy as np
 import pytest
+from tests.changed import with_gripper
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import OWN, archive_box, descriptors, layout, spherical_radius
@@ -14,10 +14,6 @@ from qdgrasp_protocol.spec import RunSpec
 @pytest.fixture(scope="module")
 def cube() -> Scene:
     return build_scene(RunSpec(gripper="panda", object="rubiks_cube"))
-
-
-def with_gripper(scene: Scene, **changes) -> Scene:
-    return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, **changes))
 
 
 WEIGHTS = ("w_swept", "w_opposed", "w_facing", "w_distance", "w_height", "w_constant")

@@ -1,10 +1,10 @@
 """What genomes mean: laws of the cone, of postures, and of rounding, for every prior."""
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
+from tests.changed import with_gripper
 
 from qdgrasp_assets.scene import FreeJoint, Synergy
 from qdgrasp_protocol.errors import UnknownName
@@ -21,10 +21,6 @@ FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
 def decoder_of(scene, prior):
     return Decoder(scene, prior, Surface(scene))
-
-
-def with_gripper(scene, **changes):
-    return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, **changes))
 
 
 def values_of(decoder, genomes):

@@ -5,6 +5,7 @@ import tempfile
 import msgspec
 import numpy as np
 import pytest
+from tests.changed import with_gripper
 
 from qdgrasp_assets.catalog import GRIPPERS
 from qdgrasp_assets.scene import Synergy
@@ -28,10 +29,6 @@ def world(cube):
     world = World(cube)
     yield world
     world.close()
-
-
-def with_gripper(scene, **changes):
-    return msgspec.structs.replace(scene, gripper=msgspec.structs.replace(scene.gripper, **changes))
 
 
 def close_hand(world, synergy=NO_SYNERGY):

@@ -75,5 +75,4 @@ def _check_kept(folder: JobFolder, asked: Campaign) -> None:
 def _hold(folder: JobFolder, asked: Campaign) -> None:
     file = folder.path / CAMPAIGN
     if file.read_bytes() != asked.toml.encode():
-        with disk.writing(folder.path):
-            disk.write(file, asked.toml.encode())
+        disk.replace(file, asked.toml.encode())

@@ -39,8 +39,8 @@ def read(folder: RunFolder, spec: RunSpec) -> Totals | None:
 
 def write(folder: RunFolder, spec: RunSpec, found: Totals) -> None:
     """Keep what a finished run has found; a disk that cannot take it goes without."""
-    with suppress(FolderError), disk.writing(folder.path):
-        disk.write(folder.path / FILE, msgspec.json.encode(Finding(_mark(folder, spec), found)))
+    with suppress(FolderError):
+        disk.replace(folder.path / FILE, msgspec.json.encode(Finding(_mark(folder, spec), found)))
 
 
 def _mark(folder: RunFolder, spec: RunSpec) -> str:

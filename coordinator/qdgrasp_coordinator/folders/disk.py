@@ -27,6 +27,12 @@ def write(file: Path, payload: bytes) -> None:
     sync(file.parent)
 
 
+def replace(file: Path, payload: bytes) -> None:
+    """Replace a file at once (`write`), or say in a sentence why that cannot be (`writing`)."""
+    with writing(file.parent):
+        write(file, payload)
+
+
 def read(file: Path) -> bytes:
     """What a file holds.
 

@@ -118,7 +118,7 @@ class RunFolder:
 
     def rewrite_spec(self, spec: RunSpec) -> None:
         """Replace the spec."""
-        self._write(SPEC, to_toml(spec).encode())
+        disk.replace(self.path / SPEC, to_toml(spec).encode())
 
     def bundle(self) -> Bundle:
         """The scene as bytes, with its digest."""
@@ -131,7 +131,7 @@ class RunFolder:
 
     def add_bundle(self, payload: bytes) -> None:
         """Store the scene."""
-        self._write(SCENE, payload)
+        disk.replace(self.path / SCENE, payload)
 
     def scene(self) -> Scene:
         """The scene.
@@ -157,10 +157,6 @@ class RunFolder:
             return Journal.open(self.path)
         scene = self.bundle().digest if self.has_bundle() else ""
         return Journal.empty(Identity(self.run, to_toml(self.spec), scene, Shape(0, 0)))
-
-    def _write(self, name: str, payload: bytes) -> None:
-        with disk.writing(self.path):
-            disk.write(self.path / name, payload)
 
 
 def files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:

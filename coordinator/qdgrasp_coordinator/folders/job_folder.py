@@ -137,7 +137,7 @@ class JobFolder:
 
     def set_epoch(self, epoch: int) -> None:
         """Store an epoch; it is on the disk when this returns."""
-        self._write(JOB, msgspec.json.encode(self._job.in_turn(epoch)))
+        disk.replace(self.path / JOB, msgspec.json.encode(self._job.in_turn(epoch)))
 
     @property
     def endpoint(self) -> str | None:
@@ -147,7 +147,7 @@ class JobFolder:
 
     def write_endpoint(self, endpoint: str) -> None:
         """Note where the router listens."""
-        self._write(ENDPOINT, f"{endpoint}\n".encode())
+        disk.replace(self.path / ENDPOINT, f"{endpoint}\n".encode())
 
     def forget_endpoint(self) -> None:
         """Note that no router listens."""
@@ -183,7 +183,3 @@ class JobFolder:
             return msgspec.json.decode(disk.read(self.path / JOB), type=Job)
         except msgspec.MsgspecError as error:
             raise disk.damaged(self.path / JOB, str(error)) from None
-
-    def _write(self, name: str, payload: bytes) -> None:
-        with disk.writing(self.path):
-            disk.write(self.path / name, payload)

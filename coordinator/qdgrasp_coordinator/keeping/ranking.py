@@ -103,8 +103,7 @@ def note_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:
     """
     places = tuple(Place(*values) for values in rows[["generation", "index", "fitness"]].tolist())
     noted = Source(str(source.path.absolute()), places)
-    with disk.writing(folder.path):
-        disk.write(folder.path / SOURCE, msgspec.json.encode(noted))
+    disk.replace(folder.path / SOURCE, msgspec.json.encode(noted))
 
 
 def is_reranking(folder: RunFolder) -> bool:
@@ -126,8 +125,7 @@ def write_ranking(folder: RunFolder) -> str:
         A file cannot be read or written.
     """
     table = ranked(folder)
-    with disk.writing(folder.path):
-        disk.write(folder.path / RANKING, _as_csv(table))
+    disk.replace(folder.path / RANKING, _as_csv(table))
     shown = [COLUMNS[:9], *(tuple(f"{value:g}" for value in line[:9]) for line in table[:SHOWN])]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
     lines = ["  ".join(map(str.rjust, line, widths)) for line in shown]
