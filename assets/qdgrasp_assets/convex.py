@@ -6,7 +6,6 @@ One hull where that will do, else what CoACD finds, coarse to fine; kept on disk
 
 import hashlib
 import logging
-import tempfile
 import time
 from collections.abc import Callable
 from importlib.metadata import version
@@ -15,10 +14,10 @@ from pathlib import Path
 from qdgrasp_assets import room
 from qdgrasp_assets.decompose import CORNERS, ITERATIONS, TOLERANCE, TookTooLong, decompose, simple
 from qdgrasp_assets.files import cache_folder
-from qdgrasp_assets.mesh import Mesh, parts_to_obj, read_parts
+from qdgrasp_assets.kept_parts import keep, make_folder, read_kept
+from qdgrasp_assets.mesh import Mesh
 from qdgrasp_assets.objects.solids import hull
 from qdgrasp_assets.room import Room
-from qdgrasp_protocol.errors import AssetError
 
 log = logging.getLogger(__name__)
 
@@ -79,8 +78,8 @@ def parts_at_hand(mesh: Mesh) -> tuple[Mesh, ...] | None:
 
 def _known(mesh: Mesh) -> tuple[Mesh, ...] | None:
     """What CoACD found before; None: it has not run."""
-    cached = _cached(mesh)
-    return read_parts(cached) if cached.is_file() else _unfinished.get(_key(mesh))
+    kept = read_kept(_cached(mesh))
+    return _unfinished.get(_key(mesh)) if kept is None else kept
 
 
 def _own(mesh: Mesh) -> Mesh:
@@ -90,18 +89,18 @@ def _own(mesh: Mesh) -> Mesh:
 
 def _found(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[Mesh, ...]:
     """What CoACD finds, kept for the next time."""
+    cached = _cached(mesh)
     log.warning(
-        "Decomposing '%s' (%d triangles) into convex parts, once; this takes up to a few minutes.",
+        "Decomposing '%s' (%d triangles) into convex parts, once%s; this takes up to a few minutes.",
         name,
         len(mesh.faces),
+        f" again, as '{cached}' does not hold them whole" if cached.exists() else "",
     )
-    cached = _cached(mesh)
-    _make_folder(cached.parent, name)
+    make_folder(cached.parent, name)
     parts, is_final = _coarsest(mesh, name, time_limit, tell)
     if not is_final:
         return _unfinished.setdefault(_key(mesh), parts)
-    _keep(parts, cached, name)
-    return read_parts(cached)
+    return keep(parts, cached, name)
 
 
 def is_convex(mesh: Mesh) -> bool:
@@ -152,29 +151,3 @@ def _key(mesh: Mesh) -> str:
     rule = (THRESHOLDS, ITERATIONS, TOLERANCE, CORNERS, room.POINTS, room.AHEAD, room.OFF, room.MOST)
     geometry = mesh.vertices.astype("<f8").tobytes() + mesh.faces.astype("<u4").tobytes()
     return hashlib.sha256(f"coacd {version('coacd')} {rule}".encode() + geometry).hexdigest()
-
-
-def _keep(parts: tuple[Mesh, ...], target: Path, name: str) -> None:
-    """Write the parts to `target`, whole or not at all."""
-    try:
-        with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-            file = Path(folder) / target.name
-            file.write_bytes(parts_to_obj(parts))
-            file.replace(target)
-    except OSError as error:
-        raise _not_kept(target.parent, name, error) from None
-
-
-def _make_folder(folder: Path, name: str) -> None:
-    """Make the folder before the long work, not after it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _not_kept(folder, name, error) from None
-
-
-def _not_kept(folder: Path, name: str, error: OSError) -> AssetError:
-    return AssetError(
-        f"The convex parts of '{name}' cannot be kept in '{folder}': {error.strerror or error}; "
-        "name another folder with QDGRASP_CACHE."
-    )

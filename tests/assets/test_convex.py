@@ -1,20 +1,26 @@
 """The rule by which convex parts are chosen."""
 
 import logging
+import re
 
 import numpy as np
 import pytest
 
 from qdgrasp_assets import convex
-from qdgrasp_assets.convex import THRESHOLDS, collision_parts, convex_parts
+from qdgrasp_assets.convex import THRESHOLDS, collision_parts, convex_parts, parts_at_hand
 from qdgrasp_assets.decompose import TookTooLong
-from qdgrasp_assets.mesh import Mesh
+from qdgrasp_assets.mesh import Mesh, parts_to_obj
 from qdgrasp_assets.objects.mug import mug
 from qdgrasp_assets.objects.solids import box, hull
 from qdgrasp_assets.room import Room
 from qdgrasp_protocol.errors import AssetError
 
 CORNERS = [(0, 0), (0.06, 0), (0.06, 0.02), (0.02, 0.02), (0.02, 0.06), (0, 0.06)]
+HALVES = (
+    box((0.06, 0.02, 0.02)).moved((0.03, 0.01, 0.01)),
+    box((0.02, 0.04, 0.02)).moved((0.01, 0.04, 0.01)),
+)
+"""Convex parts of the angle."""
 CAPS = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
 
 
@@ -26,6 +32,12 @@ def angle() -> Mesh:
     sides += [(i, (i + 1) % 6 + 6, i + 6) for i in range(6)]
     caps = [(a, c, b) for a, b, c in CAPS] + [(a + 6, b + 6, c + 6) for a, b, c in CAPS]
     return Mesh(np.array(low + high), np.array(sides + caps))
+
+
+def kept_in(cache):
+    """The file of the parts of the only mesh so far."""
+    (kept,) = (cache / "convex").iterdir()
+    return kept
 
 
 @pytest.fixture(autouse=True)
@@ -109,10 +121,44 @@ def test_others_can_read_the_parts_that_are_kept(found, cache):
     surface, own = mug()
     found[THRESHOLDS[0]] = own
     convex_parts(surface, "mug")
-    (kept,) = (cache / "convex").iterdir()
+    kept = kept_in(cache)
     written = cache / "written"
     written.touch()
     assert kept.stat().st_mode == written.stat().st_mode
+
+
+DAMAGE = {
+    "empty": lambda content: b"",
+    "cut in its middle": lambda content: content[: len(content) // 2],
+    "cut between two parts": lambda content: content[: content.index(b"o part_1")],
+    "without its last line": lambda content: content[: content.index(b"#")],
+    "another number": lambda content: content.replace(b"v 0", b"v 1", 1),
+    "zeros of a power cut": lambda content: bytes(len(content)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_parts_that_are_not_whole_are_made_again_with_a_word(found, angle, cache, caplog, damage):
+    found[THRESHOLDS[0]] = HALVES
+    parts, kept = convex_parts(angle, "angle"), kept_in(cache)
+    whole = kept.read_bytes()
+    kept.write_bytes(damage(whole))
+    assert kept.read_bytes() != whole
+    assert parts_at_hand(angle) is None
+    with caplog.at_level(logging.WARNING):
+        again = convex_parts(angle, "angle")
+    assert f"once again, as '{kept}' does not hold them whole" in caplog.text
+    assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
+    assert kept.read_bytes() == whole
+
+
+def test_the_line_that_shows_that_parts_are_whole_is_none_of_them(found, angle, cache):
+    found[THRESHOLDS[0]] = HALVES
+    parts = convex_parts(angle, "angle")
+    content = kept_in(cache).read_bytes()
+    assert content.startswith(parts_to_obj(parts))
+    assert re.fullmatch(rb"# sha256 [0-9a-f]{64}\n", content.removeprefix(parts_to_obj(parts)))
+    assert parts_at_hand(angle) is not None
 
 
 def test_where_none_fit_the_finest_are_taken_with_a_warning(found, caplog):
