@@ -5,7 +5,8 @@ from pathlib import Path
 
 from qdgrasp_assets import ycb
 from qdgrasp_assets.files import A_FOLDER, NOT_THERE, amiss, named_path, searched
-from qdgrasp_assets.gripper import Gripper, read_gripper, read_gripper_file
+from qdgrasp_assets.gripper import Gripper, read_gripper
+from qdgrasp_assets.gripper_file import read_gripper_file
 from qdgrasp_assets.mesh_file import check_file
 from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_assets.scene import Scene

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from qdgrasp_assets.gripper import FreeJointTable, GripperFile, JawTable, JointTable, SynergyTable
+from qdgrasp_assets.gripper_file import FreeJointTable, GripperFile, JawTable, JointTable, SynergyTable
 from qdgrasp_assets.hands import palm
 from qdgrasp_assets.hands.base import guess_base
 from qdgrasp_assets.hands.body import Body, read_body

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.findings import Findings
-from qdgrasp_assets.gripper import Gripper, GripperFile, gripper_faults, read_gripper_file, urdf_path
+from qdgrasp_assets.gripper import Gripper
+from qdgrasp_assets.gripper_faults import gripper_faults
+from qdgrasp_assets.gripper_file import GripperFile, read_gripper_file, urdf_path
 from qdgrasp_assets.hands.base import guess_base
 from qdgrasp_assets.hands.body import Body, read_body
 from qdgrasp_assets.hands.draft import Told, draft

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from qdgrasp_assets.gripper import GripperFile
+from qdgrasp_assets.gripper_file import GripperFile
 from qdgrasp_assets.hands import palm
 from qdgrasp_assets.hands.body import Body
 from qdgrasp_assets.hands.motors import CLOSING_TIME

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from qdgrasp_assets.gripper import GripperFile
+from qdgrasp_assets.gripper_file import GripperFile
 from qdgrasp_assets.hands import palm
 from qdgrasp_assets.hands.body import Body
 from qdgrasp_assets.hands.closing import Closing, between

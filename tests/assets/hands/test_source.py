@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from qdgrasp_assets.gripper import read_gripper_file
+from qdgrasp_assets.gripper_file import read_gripper_file
 from qdgrasp_assets.hands.source import read_source
 from qdgrasp_protocol.errors import AssetError
 

@@ -7,7 +7,7 @@ import pytest
 from tests.assets.hands import jaw
 from typer.testing import CliRunner
 
-from qdgrasp_assets.gripper import read_gripper_file
+from qdgrasp_assets.gripper_file import read_gripper_file
 from qdgrasp_coordinator.cli import gripper as command
 from qdgrasp_coordinator.cli.gripper import app
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
