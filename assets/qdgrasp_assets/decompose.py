@@ -72,9 +72,10 @@ def decompose(mesh: Mesh, name: str, threshold: float, time_limit: float) -> tup
 
 def _run(arguments: list[str], name: str, time_limit: float) -> None:
     command = [sys.executable, "-m", __spec__.name, *arguments]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    ) as process:
+    with (
+        tempfile.TemporaryFile() as said,  # not a pipe, which would fill while nobody reads it
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said) as process,
+    ):
         try:
             process.wait(max(0.0, time_limit))
         except subprocess.TimeoutExpired:
@@ -82,7 +83,8 @@ def _run(arguments: list[str], name: str, time_limit: float) -> None:
         finally:
             process.kill()
         if process.returncode:
-            last = (process.stderr.read() if process.stderr else b"").decode(errors="replace").strip()[-200:]
+            said.seek(0)
+            last = " ".join(said.read().decode(errors="replace").split())[-200:]
             raise AssetError(
                 f"CoACD could not decompose the mesh '{name}' into convex parts (exit code "
                 f"{process.returncode}): {last or 'it says nothing'}."

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.decompose import CORNERS, TOLERANCE, simple
+from qdgrasp_assets import decompose as module
+from qdgrasp_assets.decompose import CORNERS, TOLERANCE, decompose, simple
 from qdgrasp_assets.mesh import Mesh
 from qdgrasp_assets.objects.solids import box, geodesic, heights, hull
+from qdgrasp_protocol.errors import AssetError
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 1, 2), (1, 1, 0.1)])
@@ -41,3 +43,19 @@ def test_a_box_stays_as_it_is() -> None:
 def test_a_part_whose_outermost_corners_are_in_one_plane_stays_a_solid() -> None:
     corners = np.array([(0, 0, 0), (1, 1, 0.5), (0.5, 0.5, 1), (0.6, 0.4, 0.5)]) * 0.1
     assert simple(hull(corners)).volume == pytest.approx(hull(corners).volume)
+
+
+TALKATIVE = """
+import sys
+
+print("a remark\\n" * 50_000, file=sys.stderr)
+sys.exit("no such mesh")
+"""
+
+
+def test_what_says_more_than_a_pipe_holds_comes_to_its_end(tmp_path, monkeypatch) -> None:
+    (tmp_path / "talkative.py").write_text(TALKATIVE)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(module.__spec__, "name", "talkative")
+    with pytest.raises(AssetError, match=r"mesh 'mug' .*exit code 1\): .*no such mesh"):
+        decompose(box((0.1, 0.1, 0.1)), "mug", 0.1, time_limit=60.0)
