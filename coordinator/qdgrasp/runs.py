@@ -12,7 +12,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaigns.summary import Summary, summary
 from qdgrasp_coordinator.exchange.choosing import choose
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.genome import Layout

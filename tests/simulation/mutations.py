@@ -25,7 +25,7 @@ from qdgrasp_coordinator.dispatching.roster import Overdue, Roster
 from qdgrasp_coordinator.dispatching.tickets import Stub, Tickets
 from qdgrasp_coordinator.recording.books import Books
 from qdgrasp_coordinator.recording.holding import Holding
-from qdgrasp_coordinator.recording.intake import Intake, Verdict
+from qdgrasp_coordinator.recording.intake import Arrival, Intake
 from qdgrasp_coordinator.recording.reports import Reports
 from qdgrasp_coordinator.recording.scribe import Scribe
 from qdgrasp_coordinator.runs.generation import Slot
@@ -227,19 +227,19 @@ def _number_batches(push: Any) -> Any:
 
 
 def _take_any_epoch(take: Any) -> Any:
-    def taken(books: Books, message: Recordable, now: float) -> Verdict:
-        verdict: Verdict = take(books, msgspec.structs.replace(message, epoch=books.epoch), now)
-        return verdict
+    def taken(books: Books, message: Recordable, now: float) -> Arrival:
+        arrival: Arrival = take(books, msgspec.structs.replace(message, epoch=books.epoch), now)
+        return arrival
 
     return taken
 
 
 def _take_past_gaps(offer: Any) -> Any:
-    def offered(intake: Intake, epoch: int, stretch: Stretch, now: float) -> Verdict:
+    def offered(intake: Intake, epoch: int, stretch: Stretch, now: float) -> Arrival:
         if stretch.first > intake.expected:
             stretch = replace(stretch, first=intake.expected)
-        verdict: Verdict = offer(intake, epoch, stretch, now)
-        return verdict
+        arrival: Arrival = offer(intake, epoch, stretch, now)
+        return arrival
 
     return offered
 

@@ -12,7 +12,7 @@ from tests.simulation.worker import CREDIT, Worker
 
 from qdgrasp_coordinator.recording import intake
 from qdgrasp_coordinator.recording.books import Books
-from qdgrasp_coordinator.recording.intake import Verdict
+from qdgrasp_coordinator.recording.intake import Arrival
 from qdgrasp_coordinator.serving import outbox
 from qdgrasp_coordinator.serving.lane import Lane
 from qdgrasp_coordinator.serving.outbox import Outbox
@@ -56,11 +56,11 @@ class Watch:
         """Hear that a recorder keeps the books; watches what it takes."""
         take = books.take
 
-        def taken(message: Recordable, now: float) -> Verdict:
-            epoch, verdict = books.epoch, take(message, now)
-            is_old = verdict is Verdict.TAKEN and message.epoch < epoch
+        def taken(message: Recordable, now: float) -> Arrival:
+            epoch, arrival = books.epoch, take(message, now)
+            is_old = arrival is Arrival.TAKEN and message.epoch < epoch
             require(not is_old, "epochs rise", f"rows of epoch {message.epoch} are taken in {epoch}")
-            return verdict
+            return arrival
 
         books.take = taken  # type: ignore[method-assign]
 

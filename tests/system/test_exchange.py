@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.folders.folder import RunFolder
 
 

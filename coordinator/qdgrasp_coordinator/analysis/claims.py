@@ -20,7 +20,7 @@ MOST = 0.5
 """Successes concentrate where more than this share of them is."""
 
 
-class Verdict(Enum):
+class Agreement(Enum):
     """Whether the runs agree with a claim."""
 
     AGREES = "agrees"
@@ -36,14 +36,14 @@ class Band:
     low: float
     high: float
 
-    def verdict(self, found: Interval) -> Verdict:
+    def verdict(self, found: Interval) -> Agreement:
         """Whether the whole interval is in the band, outside of it, or neither."""
         if not found.is_known:
-            return Verdict.UNKNOWN
+            return Agreement.UNKNOWN
         if found.low > self.low and (found.high < self.high or math.isinf(self.high)):
-            return Verdict.AGREES
+            return Agreement.AGREES
         outside = found.high <= self.low or found.low >= self.high
-        return Verdict.DOES_NOT if outside else Verdict.UNKNOWN
+        return Agreement.DOES_NOT if outside else Agreement.UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -86,14 +86,14 @@ class Judged:
         return f"{self.verdict.value}{' (of few runs)' if self.is_of_few else ''}"
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Agreement:
         """All numbers agree, one does not, or neither can be said."""
         verdicts = {self.claim.band.verdict(finding.interval) for finding in self.findings}
         if not verdicts:
-            return Verdict.ABSENT
-        if Verdict.DOES_NOT in verdicts:
-            return Verdict.DOES_NOT
-        return Verdict.UNKNOWN if Verdict.UNKNOWN in verdicts else Verdict.AGREES
+            return Agreement.ABSENT
+        if Agreement.DOES_NOT in verdicts:
+            return Agreement.DOES_NOT
+        return Agreement.UNKNOWN if Agreement.UNKNOWN in verdicts else Agreement.AGREES
 
 
 def judged(entries: Sequence[Entry]) -> list[Judged]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import SceneObject
-from qdgrasp_coordinator.analysis.reference import Origin, ReferenceSet, read_references
+from qdgrasp_coordinator.analysis.reference import BuiltFrom, ReferenceSet, read_references
 from qdgrasp_coordinator.counts.cells import best, cells
 from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_coordinator.folders import disk, lock
@@ -94,7 +94,7 @@ def harvested(folder: RunFolder, name: str | None = None) -> ReferenceSet:
     """The set of a run: the cells of its successes with the best fitness in each."""
     spec, scene = folder.spec, folder.scene()
     key = name or scene.object.name.removeprefix(SCAN)
-    origin = Origin(scene.gripper.name, Path(spec.object).name, identity(scene.object), (scene.protocol,))
+    origin = BuiltFrom(scene.gripper.name, Path(spec.object).name, identity(scene.object), (scene.protocol,))
     empty = ReferenceSet(key, np.zeros((0, 3), np.int64), np.zeros(0, np.uint8), origin)
     with folder.journal() as journal:
         found = [best(*_reached(rows)) for rows in journal.kept()]
@@ -142,7 +142,7 @@ def _grown(old: ReferenceSet, found: Iterable[Reached]) -> ReferenceSet:
     return replace(old, cells=distinct, fitness=greatest)
 
 
-def _origin(known: ReferenceSet, path: Path) -> Origin:
+def _origin(known: ReferenceSet, path: Path) -> BuiltFrom:
     if known.origin is None:
         raise AssetError(
             f"'{path}' does not say what its sets were built from, so that nothing can be added to it; "

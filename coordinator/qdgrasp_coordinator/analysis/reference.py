@@ -2,8 +2,8 @@
 
 A set is an `.npz` file with, for each object, `<object>.cm` (n, 3), hand positions in whole centimetres in
 the object's CoM frame, and `<object>.fitness` (n,), the best fitness known there: 0, 1 or 2. Sets that were
-built here also say of what (`Origin`): `gripper`, and for each object `<object>.made_with`, `.identity` and
-`.protocols`.
+built here also say of what (`BuiltFrom`): `gripper`, and for each object `<object>.made_with`, `.identity`
+and `.protocols`.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ ORIGIN = ("made_with", "identity", "protocols")
 
 
 @dataclass(frozen=True)
-class Origin:
+class BuiltFrom:
     """What a set was built from."""
 
     gripper: str
@@ -44,7 +44,7 @@ class ReferenceSet:
     """(n, 3), distinct, whole centimetres, CoM frame."""
     fitness: NDArray[np.uint8]
     """(n,), the best fitness known in each cell: 0, 1 or 2."""
-    origin: Origin | None = None
+    origin: BuiltFrom | None = None
     """None: of the published scans, and the file does not say more."""
 
     def __len__(self) -> int:
@@ -133,12 +133,12 @@ def _checked(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]]) -
     return ReferenceSet(name, cells, fitness.astype(np.uint8), _origin(name, arrays))
 
 
-def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> Origin | None:
+def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> BuiltFrom | None:
     said = [arrays.get(key) for key in ("gripper", *(f"{name}.{part}" for part in ORIGIN))]
     gripper, made_with, identity, protocols = said
     if gripper is None or made_with is None or identity is None or protocols is None:
         return None
-    return Origin(str(gripper), str(made_with), str(identity), tuple(map(str, protocols.ravel())))
+    return BuiltFrom(str(gripper), str(made_with), str(identity), tuple(map(str, protocols.ravel())))
 
 
 def _form(array: NDArray[np.generic]) -> str:

@@ -37,7 +37,7 @@ UNITS = "m, rad, kg"
 XYZW = "x, y, z, w"
 
 
-class Origin(Struct, frozen=True, kw_only=True):
+class FoundBy(Struct, frozen=True, kw_only=True):
     """A run that found grasps of a file."""
 
     run: str
@@ -103,7 +103,7 @@ class About(Struct, frozen=True, kw_only=True):
     """What it is, 0 to 1; higher is better."""
     scene: str
     """sha256 of the scene bundle."""
-    runs: tuple[Origin, ...]
+    runs: tuple[FoundBy, ...]
 
     @property
     def values(self) -> dict[str, Any]:
@@ -162,14 +162,14 @@ def _confidence(scene: Scene) -> str:
     return f"eta, {ETA}; where it is not known fitness / 2" if trials(scene.protocol) else "fitness / 2"
 
 
-def _origins(folder: RunFolder, journal: Journal) -> tuple[Origin, ...]:
+def _origins(folder: RunFolder, journal: Journal) -> tuple[FoundBy, ...]:
     if journal.sources:
         return tuple(
-            Origin(run=source.run, digest=source.digest, spec=_toml(source.asked))
+            FoundBy(run=source.run, digest=source.digest, spec=_toml(source.asked))
             for source in journal.sources
         )
     name = folder.path.absolute().name
-    return (Origin(run=name, digest=digest(journal), spec=_toml(folder.spec)),)
+    return (FoundBy(run=name, digest=digest(journal), spec=_toml(folder.spec)),)
 
 
 def _toml(spec: RunSpec) -> str:

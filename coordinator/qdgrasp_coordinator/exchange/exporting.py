@@ -9,7 +9,7 @@ from qdgrasp_coordinator.exchange.about import about
 from qdgrasp_coordinator.exchange.choosing import choose
 from qdgrasp_coordinator.exchange.frames import frame_of
 from qdgrasp_coordinator.exchange.grasps import Grasps, joined
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.exchange.writing import ALL, Format, format_of, write
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import InputError

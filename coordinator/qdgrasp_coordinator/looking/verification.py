@@ -15,7 +15,7 @@ from qdgrasp_coordinator.folders.provenance import Provenance, provenances
 from qdgrasp_coordinator.looking.agreement import differing, told
 from qdgrasp_coordinator.looking.lots import MOST, Lot, Lots
 from qdgrasp_coordinator.looking.sampling import balanced
-from qdgrasp_coordinator.looking.verified import Different, Origin, Values, Verified
+from qdgrasp_coordinator.looking.verified import Different, MadeOn, Values, Verified
 from qdgrasp_coordinator.runs.assignment import Assignment
 from qdgrasp_coordinator.serving.record import Memory
 from qdgrasp_coordinator.watching.errand import run_errand
@@ -168,11 +168,11 @@ def _different(lot: Lot, place: int, recorded: np.void, values: dict[str, Values
     )
 
 
-def _origins(lots: Sequence[Lot], now: dict[str, str]) -> Iterator[Origin]:
+def _origins(lots: Sequence[Lot], now: dict[str, str]) -> Iterator[MadeOn]:
     """The platforms that rows were made on, those of most rows first."""
     counts: Counter[tuple[tuple[str, str], ...]] = Counter()
     for lot in lots:
         counts[tuple(sorted(lot.found_by.platform.items()))] += len(lot.numbers)
     for items, rows in counts.most_common():
         platform = dict(items)
-        yield Origin(rows=rows, platform=platform, differences=platforms.differences(platform, now))
+        yield MadeOn(rows=rows, platform=platform, differences=platforms.differences(platform, now))

@@ -42,7 +42,7 @@ class Different(Struct, frozen=True, kw_only=True):
         return f"row {self.number} of {self.folder}, trial {self.trial}: {told}{failed}"
 
 
-class Origin(Struct, frozen=True, kw_only=True):
+class MadeOn(Struct, frozen=True, kw_only=True):
     """A platform that rows were made on."""
 
     rows: int
@@ -80,7 +80,7 @@ class Verified(Struct, frozen=True, kw_only=True):
     """In how many rows each column differs."""
     platform: dict[str, str]
     """On which they were evaluated now."""
-    origins: list[Origin]
+    origins: list[MadeOn]
 
     @property
     def is_same(self) -> bool:

@@ -8,7 +8,7 @@ from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.counts.finds import from_message
-from qdgrasp_coordinator.monitor.records import Origin, Page, Place
+from qdgrasp_coordinator.monitor.records import JournalId, Page, Place
 from qdgrasp_protocol import chunks, codec
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import MessageError
@@ -30,7 +30,8 @@ class BusRecords:
         """One answer of the recorder's."""
         payload = self._bus.ask(Keys(job).finds, parameters=f"run={run}&from={first}")
         message = codec.decode(payload, Finds)
-        return Page(Origin(message.scene, message.began), from_message(message), message.next, message.rows)
+        origin = JournalId(message.scene, message.began)
+        return Page(origin, from_message(message), message.next, message.rows)
 
     def entries(self, job: str) -> RunEntries:
         """All pages of the recorder's list, as far as it has counted."""

@@ -8,7 +8,7 @@ from qdgrasp_coordinator.counts.entry import RunEntries, RunEntry
 from qdgrasp_coordinator.folders import journal_finds
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.monitor.collection import Collection
-from qdgrasp_coordinator.monitor.records import Origin, Page, Place
+from qdgrasp_coordinator.monitor.records import JournalId, Page, Place
 from qdgrasp_protocol.errors import UnknownName
 
 
@@ -27,7 +27,7 @@ class FolderRecords:
         """From the journal as it is now."""
         folder = self._collection.run(job, run)
         with folder.journal() as journal:
-            origin = Origin(journal.scene, journal.created if journal.count else 0.0)
+            origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
             legend = self._legends.of(folder, journal)
             return Page(origin, *journal_finds.page(journal, first, legend), journal.count)
 

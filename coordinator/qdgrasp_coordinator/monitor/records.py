@@ -17,7 +17,7 @@ COMMANDS = (
 """What can be done with one row of a run."""
 
 
-class Origin(NamedTuple):
+class JournalId(NamedTuple):
     """Which journal it is: in another one of the same names, the same numbers are of other rows."""
 
     scene: str
@@ -45,7 +45,7 @@ class Place(NamedTuple):
 class Page:
     """Nominal successes of a run, in journal order."""
 
-    origin: Origin
+    origin: JournalId
     """The journal they are from."""
     found: Found
     """(n,)."""

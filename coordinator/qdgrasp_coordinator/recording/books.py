@@ -16,7 +16,7 @@ from qdgrasp_coordinator.folders.journals import Journals
 from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_coordinator.folders.platforms import differences
 from qdgrasp_coordinator.recording.holding import Holding
-from qdgrasp_coordinator.recording.intake import Verdict
+from qdgrasp_coordinator.recording.intake import Arrival
 from qdgrasp_coordinator.recording.ledger import Ledger
 from qdgrasp_coordinator.recording.subject import Subject, check_same
 from qdgrasp_protocol.errors import FolderError, Refused
@@ -94,7 +94,7 @@ class Books:
         identity = self._holding.identity
         return Opened(epoch=self.epoch, durable=durable, platform=platform, identity=identity)
 
-    def take(self, message: Recordable, now: float) -> Verdict:
+    def take(self, message: Recordable, now: float) -> Arrival:
         """Let rows wait for their commit.
 
         Raises
@@ -106,12 +106,12 @@ class Books:
         """
         ledger = self._ledger(message.run)
         if message.epoch < self.epoch:
-            return Verdict.STALE
-        verdict = ledger.take(message, now)
+            return Arrival.STALE
+        arrival = ledger.take(message, now)
         self._holding.epoch = message.epoch
-        if verdict is Verdict.TAKEN:
+        if arrival is Arrival.TAKEN:
             self._waiting[message.run] = ledger
-        return verdict
+        return arrival
 
     def set_platform(self, message: Platform) -> None:
         """Note the platform of the rows to come; a journal that has another gets it before its next rows."""

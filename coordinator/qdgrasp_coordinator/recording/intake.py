@@ -17,7 +17,7 @@ CAPACITY = 65_536
 """The most rows that wait while nothing can be committed; more than a coordinator sends unconfirmed."""
 
 
-class Verdict(Enum):
+class Arrival(Enum):
     """What became of rows that arrived."""
 
     TAKEN = "taken"
@@ -50,21 +50,21 @@ class Intake:
         """The number of the next row."""
         return self._waiting[-1].stop if self._waiting else self.durable
 
-    def offer(self, epoch: int, stretch: Stretch, now: float) -> Verdict:
+    def offer(self, epoch: int, stretch: Stretch, now: float) -> Arrival:
         """Take what is new of consecutive rows."""
         if epoch < self.epoch:
-            return Verdict.STALE
+            return Arrival.STALE
         self.epoch = epoch
         if stretch.first > self.expected:
-            return Verdict.GAP
+            return Arrival.GAP
         if stretch.stop <= self.expected:
-            return Verdict.DUPLICATE
+            return Arrival.DUPLICATE
         if stretch.stop - self.durable > CAPACITY:
-            return Verdict.FULL
+            return Arrival.FULL
         if not self._waiting:
             self._since = now
         self._waiting.append(stretch.part(self.expected, stretch.stop))
-        return Verdict.TAKEN
+        return Arrival.TAKEN
 
     @property
     def deadline(self) -> float:

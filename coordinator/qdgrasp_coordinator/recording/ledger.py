@@ -9,7 +9,7 @@ from qdgrasp_coordinator.counts.stretch import Stretch, from_message
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
 from qdgrasp_coordinator.folders.journals import Journals
-from qdgrasp_coordinator.recording.intake import Intake, Verdict
+from qdgrasp_coordinator.recording.intake import Arrival, Intake
 from qdgrasp_coordinator.recording.subject import Subject
 from qdgrasp_protocol.errors import EndsTooSoon, ImpossibleValue
 from qdgrasp_protocol.messages import Recordable
@@ -69,7 +69,7 @@ class Ledger:
         except ImpossibleValue as reason:
             raise EndsTooSoon(self._folder.path, reason) from None
 
-    def take(self, message: Recordable, now: float) -> Verdict:
+    def take(self, message: Recordable, now: float) -> Arrival:
         """Let rows wait for their commit.
 
         Raises

@@ -13,7 +13,7 @@ import structlog
 
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.recording.books import Books
-from qdgrasp_coordinator.recording.intake import Verdict
+from qdgrasp_coordinator.recording.intake import Arrival
 from qdgrasp_coordinator.recording.reports import Reports
 from qdgrasp_coordinator.recording.room import Room
 from qdgrasp_protocol import codec
@@ -51,7 +51,7 @@ class Scribe:
         self._room = Room(path, disk_wait)
         self._drops = Drops()
         self._reports = Reports()
-        self._untaken: Counter[Verdict] = Counter()
+        self._untaken: Counter[Arrival] = Counter()
         for run in books.runs:
             self._reports.heard(run, now)
 
@@ -88,11 +88,11 @@ class Scribe:
             raise Refused(str(error).removesuffix(".")) from None
 
     def _take_rows(self, message: Recordable, now: float) -> None:
-        verdict = self._books.take(message, now)
-        if verdict is Verdict.TAKEN:
+        arrival = self._books.take(message, now)
+        if arrival is Arrival.TAKEN:
             self._reports.heard(message.run, now)
         else:
-            self._untaken[verdict] += message.n
+            self._untaken[arrival] += message.n
             self._reports.news(message.run, now)
 
     def _open(self, asked: Open, now: float) -> bytes:
@@ -154,8 +154,8 @@ class Scribe:
         self._room.found()
 
     def _due_reports(self, now: float) -> list[Recorded]:
-        for verdict, rows in self._untaken.items():
-            log.info("rows not taken", reason=verdict.value, rows=rows)
+        for arrival, rows in self._untaken.items():
+            log.info("rows not taken", reason=arrival.value, rows=rows)
         self._untaken.clear()
         return [self._report(run) for run in self._reports.due(now)]
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from qdgrasp_coordinator.security import verdicts
+from qdgrasp_coordinator.security.attempts import ATTEMPTS
 from qdgrasp_coordinator.security.stage import ACTORS, WIDE, stage
 from qdgrasp_coordinator.security.strangers import Knock, knocks
-from qdgrasp_coordinator.security.trials import TRIALS
 from qdgrasp_coordinator.security.verdicts import Cell
 from qdgrasp_protocol.endpoint import Endpoint
 
@@ -79,5 +79,5 @@ def prove(endpoint: str, folder: Path, *, takers_at: str | None = None) -> Proof
     for place in filter(None, (endpoint, takers_at)):
         Endpoint.parse(place)
     with stage(endpoint, folder, PATIENCE, takers_at) as actors:
-        seen = set().union(*(trial(actors) for trial in TRIALS.values()))
+        seen = set().union(*(attempt(actors) for attempt in ATTEMPTS.values()))
     return Proof(verdicts.cells(seen), verdicts.wide(seen), knocks(endpoint, folder))

@@ -6,7 +6,7 @@ import pytest
 from tests.coordinator.analysis.runs import climb, made
 
 from qdgrasp_coordinator.analysis.bootstrap import Interval
-from qdgrasp_coordinator.analysis.claims import CLAIMS, Band, Judged, Verdict, judged
+from qdgrasp_coordinator.analysis.claims import CLAIMS, Agreement, Band, Judged, judged
 from qdgrasp_coordinator.analysis.entries import entries
 from qdgrasp_coordinator.analysis.findings import by_scene, late, near, reached
 from qdgrasp_coordinator.analysis.history import History
@@ -20,7 +20,7 @@ def runs(method: str, *ends: int, **differing: object) -> list[History]:
     ]
 
 
-def verdicts(*methods: list[History]) -> dict[str, Verdict]:
+def verdicts(*methods: list[History]) -> dict[str, Agreement]:
     return {one.claim.letter: one.verdict for one in judged(entries(chain(*methods)))}
 
 
@@ -40,7 +40,7 @@ def test_a_campaign_like_the_paper_s_agrees_with_it() -> None:
         [made("antipodal_rand", climb(48, 50), seed=seed) for seed in range(3)],
         [made("antipodal_me_scs", climb(40, 41), seed=seed) for seed in range(3)],
     )
-    assert set(found.values()) == {Verdict.AGREES}
+    assert set(found.values()) == {Agreement.AGREES}
 
 
 def test_a_campaign_unlike_the_paper_s_does_not() -> None:
@@ -50,19 +50,19 @@ def test_a_campaign_unlike_the_paper_s_does_not() -> None:
         runs("me_scs", 40, 41, 42),
         runs("antipodal_rand", 50, 52, 54),
     )
-    assert set(found.values()) == {Verdict.DOES_NOT}
+    assert set(found.values()) == {Agreement.DOES_NOT}
 
 
 def test_what_a_campaign_lacks_is_said_to_be_absent() -> None:
     found = verdicts(runs("contact_me_scs", 10, 12, nu=np.ones(24, np.int64), near=20))
-    assert found.pop("d") is Verdict.AGREES
-    assert set(found.values()) == {Verdict.ABSENT}
+    assert found.pop("d") is Agreement.AGREES
+    assert set(found.values()) == {Agreement.ABSENT}
 
 
 def test_one_run_says_nothing_and_two_that_differ_much_do_not_either() -> None:
-    assert verdicts(runs("contact_me_scs", 100), runs("contact_rand", 1))["a"] is Verdict.UNKNOWN
+    assert verdicts(runs("contact_me_scs", 100), runs("contact_rand", 1))["a"] is Agreement.UNKNOWN
     wide = verdicts(runs("contact_me_scs", 5, 100), runs("contact_rand", 20, 30))
-    assert wide["a"] is Verdict.UNKNOWN
+    assert wide["a"] is Agreement.UNKNOWN
 
 
 def test_one_number_against_a_claim_outweighs_those_for_it() -> None:
@@ -71,22 +71,24 @@ def test_one_number_against_a_claim_outweighs_those_for_it() -> None:
             [*runs("contact_me_scs", 50, 52), *runs("contact_rand", 1, 2), *runs("approach_rand", 90, 95)]
         )
     )
-    assert (a.verdict, len(a.findings), a.absent) == (Verdict.DOES_NOT, 2, 4)
+    assert (a.verdict, len(a.findings), a.absent) == (Agreement.DOES_NOT, 2, 4)
 
 
 @pytest.mark.parametrize(
     ("low", "high", "verdict"),
     [
-        (1.1, 2.0, Verdict.AGREES),
-        (1.1, math.inf, Verdict.AGREES),
-        (0.9, 2.0, Verdict.UNKNOWN),
-        (0.2, 1.0, Verdict.DOES_NOT),
-        (math.nan, math.nan, Verdict.UNKNOWN),
+        (1.1, 2.0, Agreement.AGREES),
+        (1.1, math.inf, Agreement.AGREES),
+        (0.9, 2.0, Agreement.UNKNOWN),
+        (0.2, 1.0, Agreement.DOES_NOT),
+        (math.nan, math.nan, Agreement.UNKNOWN),
     ],
 )  # fmt: skip
-def test_an_interval_is_in_a_band_or_out_of_it_or_neither(low: float, high: float, verdict: Verdict) -> None:
+def test_an_interval_is_in_a_band_or_out_of_it_or_neither(
+    low: float, high: float, verdict: Agreement
+) -> None:
     assert Band(1.0, math.inf).verdict(Interval(1.0, low, high, 1, (2, 2))) is verdict
-    assert Judged(CLAIMS[0], (), ()).verdict is Verdict.ABSENT
+    assert Judged(CLAIMS[0], (), ()).verdict is Agreement.ABSENT
 
 
 def test_methods_are_compared_after_as_many_evaluations() -> None:

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.analysis.reference import Origin, ReferenceSet, is_stand_in, read_reference
+from qdgrasp_coordinator.analysis.reference import BuiltFrom, ReferenceSet, is_stand_in, read_reference
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 
 
@@ -91,12 +91,12 @@ def test_a_set_without_fitness_is_refused(tmp_path: Path) -> None:
         read_reference(written(tmp_path / "set.npz", mug__cm=CM), "mug")
 
 
-def mug(origin: Origin | None) -> ReferenceSet:
+def mug(origin: BuiltFrom | None) -> ReferenceSet:
     return ReferenceSet("mug", CM.astype(np.int64), np.zeros(2, np.uint8), origin)
 
 
 def test_the_scan_and_its_stand_in_compare_and_nothing_else_does() -> None:
-    for origin in (None, Origin("panda", "ycb_mug", "scan", ("paper",))):
+    for origin in (None, BuiltFrom("panda", "ycb_mug", "scan", ("paper",))):
         assert not is_stand_in("ycb_mug", "another scan", mug(origin))
         assert is_stand_in("mug", "stand-in", mug(origin))
         with pytest.raises(
@@ -106,7 +106,7 @@ def test_the_scan_and_its_stand_in_compare_and_nothing_else_does() -> None:
 
 
 def test_a_set_of_our_own_compares_with_the_object_that_it_was_built_from_and_no_other() -> None:
-    own = mug(Origin("panda", "part.stl", "part", ("paper",)))
+    own = mug(BuiltFrom("panda", "part.stl", "part", ("paper",)))
     assert not is_stand_in("moved/elsewhere/part.stl", "part", own)
     for name in ("part.stl", "mug", "ycb_mug"):
         with pytest.raises(InputError, match=rf"built from runs on 'part.stl', but this run is on '{name}'"):

@@ -11,7 +11,7 @@ from tests.coordinator.exchange.conftest import MakeRun
 
 from qdgrasp_coordinator.exchange.choosing import choose, spread
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_protocol.outcome import Outcome
 
 

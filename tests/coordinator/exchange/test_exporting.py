@@ -17,7 +17,7 @@ from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.counts.scores import SHAKES
 from qdgrasp_coordinator.exchange import writing
 from qdgrasp_coordinator.exchange.exporting import export
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.exchange.writing import FORMATS
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder

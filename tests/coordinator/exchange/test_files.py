@@ -23,7 +23,7 @@ from qdgrasp_coordinator.exchange import importing
 from qdgrasp_coordinator.exchange.about import About, about
 from qdgrasp_coordinator.exchange.exporting import export
 from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.exchange.things import Thing
 from qdgrasp_coordinator.exchange.writing import FORMATS
 from qdgrasp_coordinator.folders.folder import RunFolder

@@ -5,7 +5,7 @@ import pytest
 from tests.coordinator.exchange.conftest import COM
 
 from qdgrasp_coordinator.exchange.grasps import Grasps, joined
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.outcome import Outcome
 

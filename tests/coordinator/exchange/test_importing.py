@@ -22,7 +22,7 @@ from tests.coordinator.exchange.foreign import (
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.exchange import importing
 from qdgrasp_coordinator.exchange.exporting import export
-from qdgrasp_coordinator.exchange.harvest import read_grasps
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.exchange.things import Thing
 from qdgrasp_coordinator.exchange.told import Unusable
 from qdgrasp_coordinator.folders.folder import RunFolder

@@ -9,8 +9,8 @@ from tests.coordinator.exchange.evaluated import evaluate_given
 
 from qdgrasp_coordinator.counts.poses import read_poses
 from qdgrasp_coordinator.exchange.exporting import export
-from qdgrasp_coordinator.exchange.harvest import read_grasps
 from qdgrasp_coordinator.exchange.importing import read_grasps as read_file
+from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.exchange.things import hand_of, thing_of
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.outcome import Outcome

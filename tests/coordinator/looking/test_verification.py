@@ -13,7 +13,7 @@ from qdgrasp_coordinator.keeping.merging import merge
 from qdgrasp_coordinator.keeping.reduction import padded
 from qdgrasp_coordinator.looking.lots import MOST, Lots
 from qdgrasp_coordinator.looking.verification import Findings, choose, run_folders
-from qdgrasp_coordinator.looking.verified import Different, Origin, Values, Verified
+from qdgrasp_coordinator.looking.verified import Different, MadeOn, Values, Verified
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import Rows, Shape
@@ -141,7 +141,7 @@ def verified(**settings: object) -> Verified:
 
 
 def test_rows_that_are_the_same_are_told_with_how_they_ended() -> None:
-    told = verified(origins=[Origin(rows=2, platform={"numpy": "2"}, differences="")])
+    told = verified(origins=[MadeOn(rows=2, platform={"numpy": "2"}, differences="")])
     assert told.is_same
     assert told.table == "2 of 2 rows the same: 1 held, 1 dead end\n2 of them were made on this platform"
 
@@ -152,8 +152,8 @@ def test_rows_that_differ_are_told_one_by_one_with_the_platform() -> None:
         columns={"fitness": Values(recorded="2.0", now="1.0")}, reason="",
     )  # fmt: skip
     origins = [
-        Origin(rows=1, platform={"numpy": "1"}, differences="numpy 2 instead of 1"),
-        Origin(rows=1, platform={}, differences="numpy 2 instead of absent"),
+        MadeOn(rows=1, platform={"numpy": "1"}, differences="numpy 2 instead of 1"),
+        MadeOn(rows=1, platform={}, differences="numpy 2 instead of absent"),
     ]
     told = verified(same=1, different=[different], columns={"fitness": 1}, origins=origins)
     assert not told.is_same

@@ -9,7 +9,7 @@ from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.recording.books import Books
-from qdgrasp_coordinator.recording.intake import GROUP_SECONDS, Verdict
+from qdgrasp_coordinator.recording.intake import GROUP_SECONDS, Arrival
 from qdgrasp_protocol.errors import EndsTooSoon, FolderError, Refused
 from qdgrasp_protocol.messages import Log, Open, Opened, OpenRun, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -223,8 +223,8 @@ class TestRows:
     def test_one_epoch_holds_for_all_runs(self, path: Path) -> None:
         with Books(path, JOB) as books:
             books.open(ask("a", "b"))
-            assert books.take(rows("a", 0, 10, epoch=5), 0.0) is Verdict.TAKEN
-            assert books.take(rows("b", 0, 10, epoch=4), 0.0) is Verdict.STALE
+            assert books.take(rows("a", 0, 10, epoch=5), 0.0) is Arrival.TAKEN
+            assert books.take(rows("b", 0, 10, epoch=4), 0.0) is Arrival.STALE
             books.commit("a")
         assert JobFolder.open(path).epoch == 5
 
@@ -236,8 +236,8 @@ class TestRows:
         with Books(path, JOB) as books:
             assert books.runs == []
             assert books.page(Log(run="a", first=5, limit=100)).n == 5
-            assert books.take(rows("a", 5, 30), 0.0) is Verdict.TAKEN
-            assert books.take(rows("b", 1, 2), 0.0) is Verdict.GAP
+            assert books.take(rows("a", 5, 30), 0.0) is Arrival.TAKEN
+            assert books.take(rows("b", 1, 2), 0.0) is Arrival.GAP
             books.commit("a")
             for unknown in ("c", "run"):
                 with pytest.raises(Refused, match=f"no journal of run '{unknown}'"):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qdgrasp_coordinator.counts.stretch import Stretch
-from qdgrasp_coordinator.recording.intake import CAPACITY, GROUP_ROWS, GROUP_SECONDS, Intake, Verdict
+from qdgrasp_coordinator.recording.intake import CAPACITY, GROUP_ROWS, GROUP_SECONDS, Arrival, Intake
 from qdgrasp_protocol.rows import Shape
 
 SHAPE = Shape(genes=1, joints=0)
@@ -23,8 +23,8 @@ def numbers(intake: Intake) -> list[int]:
 
 def test_rows_that_follow_are_taken() -> None:
     intake = Intake(epoch=1, durable=10)
-    assert intake.offer(1, stretch(10, 12), 0.0) is Verdict.TAKEN
-    assert intake.offer(1, stretch(12, 15), 0.0) is Verdict.TAKEN
+    assert intake.offer(1, stretch(10, 12), 0.0) is Arrival.TAKEN
+    assert intake.offer(1, stretch(12, 15), 0.0) is Arrival.TAKEN
     assert numbers(intake) == [10, 11, 12, 13, 14]
     assert (intake.expected, intake.durable) == (15, 10)
 
@@ -32,7 +32,7 @@ def test_rows_that_follow_are_taken() -> None:
 def test_of_rows_that_overlap_only_the_new_ones_are_taken() -> None:
     intake = Intake(epoch=1, durable=10)
     intake.offer(1, stretch(10, 12), 0.0)
-    assert intake.offer(1, stretch(5, 14), 0.0) is Verdict.TAKEN
+    assert intake.offer(1, stretch(5, 14), 0.0) is Arrival.TAKEN
     assert numbers(intake) == [10, 11, 12, 13]
 
 
@@ -40,21 +40,21 @@ def test_known_rows_and_no_rows_at_all_are_duplicates() -> None:
     intake = Intake(epoch=1, durable=10)
     intake.offer(1, stretch(10, 12), 0.0)
     for first, stop in ((0, 5), (0, 10), (9, 12), (10, 11), (12, 12), (3, 3)):
-        assert intake.offer(1, stretch(first, stop), 0.0) is Verdict.DUPLICATE
+        assert intake.offer(1, stretch(first, stop), 0.0) is Arrival.DUPLICATE
     assert numbers(intake) == [10, 11]
 
 
 def test_rows_behind_a_gap_are_not_taken() -> None:
     intake = Intake(epoch=1, durable=10)
-    assert intake.offer(1, stretch(11, 12), 0.0) is Verdict.GAP
+    assert intake.offer(1, stretch(11, 12), 0.0) is Arrival.GAP
     assert intake.group is None
 
 
 def test_a_replaced_coordinator_is_refused_and_a_newer_one_adopted() -> None:
     intake = Intake(epoch=3, durable=0)
-    assert intake.offer(2, stretch(0, 1), 0.0) is Verdict.STALE
-    assert intake.offer(5, stretch(0, 1), 0.0) is Verdict.TAKEN
-    assert intake.offer(3, stretch(1, 2), 0.0) is Verdict.STALE
+    assert intake.offer(2, stretch(0, 1), 0.0) is Arrival.STALE
+    assert intake.offer(5, stretch(0, 1), 0.0) is Arrival.TAKEN
+    assert intake.offer(3, stretch(1, 2), 0.0) is Arrival.STALE
     assert intake.epoch == 5
 
 
@@ -76,10 +76,10 @@ def test_a_large_group_is_due_at_once() -> None:
 
 def test_no_more_rows_wait_than_there_is_room_for() -> None:
     intake = Intake(epoch=1, durable=0)
-    assert intake.offer(1, stretch(0, CAPACITY), 0.0) is Verdict.TAKEN
-    assert intake.offer(1, stretch(CAPACITY, CAPACITY + 1), 0.0) is Verdict.FULL
+    assert intake.offer(1, stretch(0, CAPACITY), 0.0) is Arrival.TAKEN
+    assert intake.offer(1, stretch(CAPACITY, CAPACITY + 1), 0.0) is Arrival.FULL
     intake.committed()
-    assert intake.offer(1, stretch(CAPACITY, CAPACITY + 1), 0.0) is Verdict.TAKEN
+    assert intake.offer(1, stretch(CAPACITY, CAPACITY + 1), 0.0) is Arrival.TAKEN
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 40), st.booleans())))

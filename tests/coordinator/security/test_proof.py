@@ -7,7 +7,7 @@ from shutil import copytree
 import pytest
 from tests.coordinator.security.conftest import encrypted_endpoint
 
-from qdgrasp_coordinator.security import proof, trials
+from qdgrasp_coordinator.security import attempts, proof
 from qdgrasp_coordinator.security.access import access_list
 from qdgrasp_coordinator.security.proof import prove
 from qdgrasp_coordinator.security.verdicts import short, table
@@ -19,8 +19,8 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 @pytest.fixture(autouse=True)
 def brisk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Silence is short; what is to happen may take long on a busy machine."""
-    monkeypatch.setattr(trials, "QUIET", 0.25)
-    monkeypatch.setattr(trials, "PATIENCE", 30.0)
+    monkeypatch.setattr(attempts, "QUIET", 0.25)
+    monkeypatch.setattr(attempts, "PATIENCE", 30.0)
     monkeypatch.setattr(proof, "PATIENCE", 30.0)
 
 
@@ -58,7 +58,7 @@ def leaky(folder: Path, tmp_path: Path) -> Path:
 def test_an_access_list_with_holes_is_found_out(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trials, "PATIENCE", 5.0)  # one right is missing, and waited for
+    monkeypatch.setattr(attempts, "PATIENCE", 5.0)  # one right is missing, and waited for
     endpoint, place = encrypted_endpoint(), leaky(folder, tmp_path)
     with ZenohBus.router(endpoint, credentials=Credentials.find(place, Role.ROUTER)):
         found = prove(endpoint, place)

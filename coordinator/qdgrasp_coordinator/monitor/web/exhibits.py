@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from qdgrasp_coordinator.analysis.hand import Hand, hand
 from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries
-from qdgrasp_coordinator.monitor.records import Origin, Page, Records
+from qdgrasp_coordinator.monitor.records import JournalId, Page, Records
 from qdgrasp_coordinator.monitor.web import geometry
 from qdgrasp_coordinator.monitor.web.kept import Kept, Shelf
 from qdgrasp_coordinator.monitor.web.voxels import Voxels
@@ -40,7 +40,7 @@ PATIENCE = 1.0
 class Reading:
     """What was read of a journal."""
 
-    origin: Origin
+    origin: JournalId
     voxels: Voxels
 
     @property
@@ -119,7 +119,7 @@ class Exhibit:
             pages = self._pages(0)
         return Reading(pages[0].origin, Voxels(self._number(pages[0].origin, before))).with_pages(pages)
 
-    def _number(self, origin: Origin, before: Reading | None) -> int:
+    def _number(self, origin: JournalId, before: Reading | None) -> int:
         """The number of an origin, and another one where its journal fell back."""
         if before and before.origin == origin:
             return (before.voxels.origin + 1) % (1 << 32)

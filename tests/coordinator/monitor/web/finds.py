@@ -9,7 +9,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.counts.curve import Curve
 from qdgrasp_coordinator.counts.entry import RunEntries
 from qdgrasp_coordinator.counts.finds import Found, layout
-from qdgrasp_coordinator.monitor.records import Origin, Page, Place
+from qdgrasp_coordinator.monitor.records import JournalId, Page, Place
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.outcome import Outcome
 
@@ -41,7 +41,7 @@ def random_finds(n: int, reach: int = 3, seed: int = 0) -> Found:
     return finds(2 * np.arange(n), places, outcomes, synergies=labels, etas=etas)
 
 
-ORIGIN = Origin("1" * 64, 1.0)
+ORIGIN = JournalId("1" * 64, 1.0)
 
 
 @dataclass
@@ -54,7 +54,7 @@ class HandMadeRecords:
     on_a_page: int = 4
     asked: int = 0
     run: str = "run"
-    origin: Origin = ORIGIN
+    origin: JournalId = ORIGIN
     listed: int = 0
 
     def record(self, found: Found) -> None:
@@ -62,7 +62,7 @@ class HandMadeRecords:
         self.found = np.concatenate([self.found, found])
         self.rows = int(self.found["number"][-1]) + 1
 
-    def become(self, scene: Scene, origin: Origin, found: Found) -> None:
+    def become(self, scene: Scene, origin: JournalId, found: Found) -> None:
         """Be the records of another job of the same name."""
         self.a_scene, self.origin, self.found = scene, origin, found
         self.rows = int(found["number"][-1]) + 1

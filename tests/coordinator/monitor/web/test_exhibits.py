@@ -10,7 +10,7 @@ from tests.coordinator.monitor.web.test_voxels import in_cells, read
 from tests.patience import PATIENCE
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.monitor.records import Origin, Page
+from qdgrasp_coordinator.monitor.records import JournalId, Page
 from qdgrasp_coordinator.monitor.web import exhibits
 from qdgrasp_coordinator.monitor.web.exhibits import FRESH, LISTED, Exhibits
 from qdgrasp_coordinator.monitor.web.kept import SORRY
@@ -109,7 +109,7 @@ def test_another_job_of_the_same_name_is_shown_with_its_own_scene_and_finds_alon
     old = json.loads(library.scene("job", "run"))
     assert old["origin"] == origin(library.cells("job", "run", 0))
     many = finds(np.arange(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30, joints=1)
-    records.become(half(make_scene("half")), Origin("2" * 64, 2.0), many)
+    records.become(half(make_scene("half")), JournalId("2" * 64, 2.0), many)
     clock.now += FRESH
     cells = library.cells("job", "run", 0)
     new = json.loads(library.scene("job", "run"))
@@ -125,7 +125,7 @@ def test_a_grasp_of_another_job_stands_in_its_own_scene_before_the_cells_are_ask
     records.record(random_finds(10))
     library.grasp("job", "run", 2)
     found = finds([2], [(9, 9, 9)], [Outcome.HELD], joints=1)
-    records.become(half(make_scene("half")), Origin("2" * 64, 2.0), found)
+    records.become(half(make_scene("half")), JournalId("2" * 64, 2.0), found)
     assert list(json.loads(library.grasp("job", "run", 2))["joints"]) == ["left"]
 
 

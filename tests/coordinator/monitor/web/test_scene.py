@@ -13,7 +13,7 @@ from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed
 from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.monitor.records import Origin
+from qdgrasp_coordinator.monitor.records import JournalId
 from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
 from qdgrasp_protocol.outcome import Outcome
 
@@ -132,7 +132,7 @@ def test_another_job_of_the_same_name_is_shown_with_its_own_object(
 ) -> None:
     assert alone.evaluate("[view.told.gripper, view.cells.size]") == ["jaw", 4]
     many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
-    records.become(made_scene("claw"), Origin("2" * 64, 2.0), many)
+    records.become(made_scene("claw"), JournalId("2" * 64, 2.0), many)
     alone.wait_for_function("() => view.cast?.told.gripper === 'claw' && view.cells.size === 30")
 
 

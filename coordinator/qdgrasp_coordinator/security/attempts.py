@@ -70,7 +70,7 @@ def tokens(stage: Stage) -> set[Meeting]:
     return found
 
 
-TRIALS = {Way.PUT: puts, Way.QUERY: queries, Way.TOKEN: tokens}
+ATTEMPTS = {Way.PUT: puts, Way.QUERY: queries, Way.TOKEN: tokens}
 
 
 def _rounds(notes: Notes, due: set[Meeting]) -> Iterator[None]:
