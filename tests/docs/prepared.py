@@ -12,7 +12,8 @@ from tests.docs.blocks import ROOT
 from tests.system.commands import Commands
 
 import qdgrasp
-from qdgrasp_coordinator.folders.job_folder import LOGS, Job
+from qdgrasp_coordinator.folders.job_folder import Job
+from qdgrasp_coordinator.folders.names import LOGS
 
 RUNS = """
 [defaults]

@@ -10,8 +10,8 @@ import msgspec
 from qdgrasp_coordinator.analysis.history import History, history
 from qdgrasp_coordinator.analysis.target import Target, Targets
 from qdgrasp_coordinator.folders import disk
-from qdgrasp_coordinator.folders.folder import SPEC, RunFolder
-from qdgrasp_coordinator.folders.job_folder import RUNS
+from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.names import RUNS, SPEC
 from qdgrasp_coordinator.searches.search import METHODS
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.genome import GIVEN

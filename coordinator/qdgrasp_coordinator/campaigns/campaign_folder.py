@@ -6,7 +6,8 @@ from qdgrasp_coordinator.campaigns.campaign import Campaign, read_campaign
 from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.campaigns.programme import Extent
 from qdgrasp_coordinator.folders import disk
-from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, LOGS, RUNS, Job, JobFolder
+from qdgrasp_coordinator.folders.job_folder import Job, JobFolder
+from qdgrasp_coordinator.folders.names import CAMPAIGN, LOGS, RUNS
 from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.phrases import counted

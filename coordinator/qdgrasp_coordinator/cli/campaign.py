@@ -13,7 +13,8 @@ from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.campaigns.meshes import Weighing, check_meshes, of_folder
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.carrying import carry_out, check_not_stopped, going_on
-from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.folders.names import CAMPAIGN
 from qdgrasp_coordinator.watching.progress import display
 from qdgrasp_coordinator.watching.supervisor import Door, Team
 from qdgrasp_protocol import flags

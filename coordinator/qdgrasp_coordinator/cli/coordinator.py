@@ -12,7 +12,8 @@ from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.campaigns.programme import Programme, Single
 from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.folders.names import CAMPAIGN
 from qdgrasp_coordinator.runs import preparation
 from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_coordinator.serving.service import CoordinatorService

@@ -11,17 +11,16 @@ import hashlib
 from pathlib import Path
 
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
-from qdgrasp_coordinator.folders import disk, journal_format
-from qdgrasp_coordinator.folders.job_folder import LOGS, RUN, RUNS, Job, JobFolder
+from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.job_folder import RUN, Job, JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.folders.journal_format import Identity
+from qdgrasp_coordinator.folders.names import JOURNAL, LOGS, RUNS, SCENE, SPEC
 from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.errors import FolderError, MessageError
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, read_run_spec, run_spec, to_toml
-
-SPEC, SCENE = "spec.toml", "scene.bundle"
 
 
 class RunFolder:
@@ -153,7 +152,7 @@ class RunFolder:
 
     def journal(self) -> Journal:
         """The journal as it is now, for a with-block; empty before a recorder opened the run."""
-        if (self.path / journal_format.FILE).exists():
+        if (self.path / JOURNAL).exists():
             return Journal.open(self.path)
         scene = self.bundle().digest if self.has_bundle() else ""
         return Journal.empty(Identity(self.run, to_toml(self.spec), scene, Shape(0, 0)))

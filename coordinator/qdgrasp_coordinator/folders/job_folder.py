@@ -19,13 +19,12 @@ from types import MappingProxyType
 import msgspec
 
 from qdgrasp_coordinator.folders import disk, lock
+from qdgrasp_coordinator.folders.names import CAMPAIGN, ENDPOINT, JOB, LOGS, RUNS, SUPERVISED
 from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys, job_name
 from qdgrasp_protocol.messages import JobId
 
-JOB, ENDPOINT, LOGS, RUNS, CAMPAIGN = "job.json", "endpoint", "logs", "runs", "campaign.toml"
-SUPERVISED = "supervised"
 RUN = "run"
 """The name of the run in a job that has only one; its folder is the job's."""
 

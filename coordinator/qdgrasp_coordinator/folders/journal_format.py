@@ -10,10 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 from qdgrasp_coordinator.folders.disk import damaged
+from qdgrasp_coordinator.folders.names import JOURNAL
 from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.rows import Shape
 
-FILE = "run.sqlite"
+FILE = JOURNAL
 APPLICATION = 0x71646772  # "qdgr"
 FORMAT = 1
 REDUCED = 2

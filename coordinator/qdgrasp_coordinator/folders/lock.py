@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import IO
 
 from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.names import LOCK
 from qdgrasp_protocol.errors import FolderError
 
-FILE = "lock"
+FILE = LOCK
 PATIENCE = 1.0  # seconds; whoever only looks whether a folder is in use holds its lock for an instant
 INTERVAL = 0.05  # seconds between two tries
 

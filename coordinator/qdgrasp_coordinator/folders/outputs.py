@@ -1,8 +1,9 @@
 """Outputs: files and folders that a command writes because it was told where.
 
 One rule for all of them (docs/decisions/outputs-appear-whole.md). Whether they can be written is looked at
-before the work for them is begun. What is there stays, unless it is to be replaced by `--force`. Folders on
-the way are made when there is something to write. An output appears whole or not at all.
+before the work for them is begun. What is there stays, unless it is to be replaced by `--force`; what is part
+of a run always stays. Folders on the way are made when there is something to write. An output appears whole
+or not at all.
 """
 
 import os
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.names import is_part
 from qdgrasp_protocol.errors import OutputError
 from qdgrasp_protocol.phrases import few
 
@@ -39,6 +41,8 @@ class Output(ABC):
             Something else is in its place, or on the way to it.
         """
         with disk.writing(self.path, self.instead):
+            if is_part(self.path):
+                raise self._refused("is part of a run or of a campaign")
             self._check_place()
             self._check_way()
 

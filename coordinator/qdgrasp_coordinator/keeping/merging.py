@@ -20,8 +20,9 @@ from qdgrasp_coordinator.counts.niches import NicheArchive, synergies
 from qdgrasp_coordinator.counts.tally import successes
 from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder, files
-from qdgrasp_coordinator.folders.job_folder import LOGS, RUN, Job
+from qdgrasp_coordinator.folders.job_folder import RUN, Job
 from qdgrasp_coordinator.folders.journal_format import FILE, Identity
+from qdgrasp_coordinator.folders.names import LOGS
 from qdgrasp_coordinator.keeping.parts import Part, parts_of
 from qdgrasp_coordinator.keeping.reduction import rows_of, shape_of, write
 from qdgrasp_coordinator.searches.search import method

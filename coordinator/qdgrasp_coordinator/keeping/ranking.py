@@ -20,6 +20,7 @@ from qdgrasp_coordinator.counts.order import best_first
 from qdgrasp_coordinator.counts.scores import eta, scored, sums
 from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.names import RANKING, SOURCE
 from qdgrasp_coordinator.folders.sources import Source as JournalSource
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.errors import InputError
@@ -28,7 +29,6 @@ from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.trials import trials
 
-SOURCE, RANKING = "source.json", "ranking.csv"
 SHOWN = 10
 """Grasps that are shown to a person."""
 COLUMNS = (

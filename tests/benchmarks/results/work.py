@@ -14,7 +14,8 @@ from qdgrasp_assets.catalog import check_object, find_gripper
 from qdgrasp_coordinator.campaigns.campaign import Campaign, campaign, read_campaign
 from qdgrasp_coordinator.campaigns.campaign_folder import begin
 from qdgrasp_coordinator.cli.carrying import carry_out
-from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
+from qdgrasp_coordinator.folders.names import CAMPAIGN
 from qdgrasp_coordinator.watching.progress import display
 from qdgrasp_coordinator.watching.supervisor import Team
 from qdgrasp_protocol.errors import InputError, QdgraspError

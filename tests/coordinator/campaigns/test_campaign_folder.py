@@ -9,8 +9,9 @@ import pytest
 from qdgrasp_coordinator.campaigns.campaign import Campaign, campaign, read_campaign
 from qdgrasp_coordinator.campaigns.campaign_folder import begin, open_campaign
 from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.folders.job_folder import CAMPAIGN, JobFolder
+from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal_format import FILE
+from qdgrasp_coordinator.folders.names import CAMPAIGN
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue
 
 

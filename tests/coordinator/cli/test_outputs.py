@@ -127,6 +127,19 @@ def test_a_file_that_is_there_stays(command: str) -> None:
 
 
 @pytest.mark.usefixtures("home")
+@each({name: FILES[name] for name in ("evaluate", "export", "import")}, ADDING)
+def test_a_file_takes_the_place_of_no_part_of_a_run(command: str) -> None:
+    journal = Path("run/run.sqlite").read_bytes()
+    force = "" if command in ADDING.values() else " --force"
+    for name in ("run.sqlite", "spec.toml", "job.json"):
+        out = command.replace("OUT.npz", f"run/{name}").replace("OUT.csv", f"run/{name}")
+        assert refused(out + force) == (
+            f"run/{name} is part of a run or of a campaign; name another path with --out."
+        )
+    assert Path("run/run.sqlite").read_bytes() == journal
+
+
+@pytest.mark.usefixtures("home")
 @each(FILES, ADDING)
 def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
     out = written(command)

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from qdgrasp_coordinator.folders import outputs
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.outputs import OutFile, OutFolder, Output, SharedFolder, Whole
 from qdgrasp_protocol.errors import DiskFull, OutputError
+from qdgrasp_protocol.spec import run_spec
 
 KINDS: list[Callable[[Path], Output]] = [OutFile, OutFolder, SharedFolder]
 FULL = OSError(28, "No space left on device")
@@ -168,6 +170,25 @@ def test_a_file_that_is_there_stays_unless_it_is_forced(
     assert out.read_text() == "old"
     OutFile(out, force=True).write(b"new")
     assert (out.read_text(), there(tmp_path)) == ("new", ["out"])
+
+
+@pytest.mark.parametrize("force", [False, True, None])
+@each_whole
+def test_nothing_takes_the_place_of_a_part_of_a_run(
+    kind: Callable[..., Output], tmp_path: Path, force: bool | None
+) -> None:
+    run = RunFolder.create(tmp_path / "run", run_spec({"gripper": "panda", "object": "mug"}), None).path
+    for name in (*there(run), "scene.bundle", "run.sqlite", "run.sqlite-wal", "lock", "ranking.csv"):
+        said = refused(kind(run / name, force=force))
+        assert said == f"{run / name} is part of a run or of a campaign; {ADVICE}."
+    kind(run / "grasps.csv", force=force).check()
+    kind(tmp_path / "spec.toml", force=force).check()
+
+
+@pytest.mark.parametrize("mark", ["job.json", "campaign.toml", "scene.bundle", "run.sqlite"])
+def test_a_run_that_lacks_other_files_is_one_too(mark: str, tmp_path: Path) -> None:
+    (tmp_path / mark).write_text("mine")
+    assert "is part of a run" in refused(OutFile(tmp_path / mark, force=True))
 
 
 def test_a_file_that_came_while_the_work_was_done_stays(tmp_path: Path) -> None:
