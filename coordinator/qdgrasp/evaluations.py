@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from qdgrasp.genomes import checked, layout_of
 from qdgrasp.lots import Lot, Lots
-from qdgrasp.places import HERE, Place, Quiet, opened
+from qdgrasp.places import HERE, Place, Quiet, check_place, opened
 from qdgrasp.scenery import Scenery, spec_of
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
@@ -67,6 +67,7 @@ class Evaluations:
     """
 
     def __init__(self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[Scenery]) -> None:
+        check_place(place)
         self.spec = spec_of(scenery)
         self.scene = build_scene(self.spec)
         """The gripper and the object as they are simulated."""

@@ -8,16 +8,17 @@ from typing import Protocol, TypeAlias, Unpack
 
 from numpy.typing import ArrayLike
 
+from qdgrasp.arguments import made_by, path_of
 from qdgrasp.genomes import checked, layout_of
-from qdgrasp.places import HERE, Place, Quiet, opened
+from qdgrasp.places import HERE, Place, Quiet, check_place, opened
 from qdgrasp.runs import Run
 from qdgrasp.scenery import Scenery, spec_of
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.scene import pack_scene
+from qdgrasp_assets.scene import Scene, pack_scene
 from qdgrasp_coordinator.campaigns.programme import Single
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.runs.preparation import with_search
-from qdgrasp_coordinator.searches.search import CUSTOM, method
+from qdgrasp_coordinator.searches.search import CUSTOM
 from qdgrasp_coordinator.serving.recorder_link import RecorderLink
 from qdgrasp_coordinator.watching.progress import Display, display
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
@@ -52,8 +53,8 @@ Make: TypeAlias = Callable[[Layout], Search]
 class Looked:
     """A program's search, whose genomes are looked at before anybody evaluates them."""
 
-    def __init__(self, search: Search, layout: Layout) -> None:
-        self._search = search
+    def __init__(self, make: Make, layout: Layout) -> None:
+        self._search = made_by("make", make, layout, ("ask", "tell"))
         self._layout = layout
 
     def ask(self, generation: int) -> Genomes:
@@ -119,7 +120,8 @@ def optimise(
     ------
     InputError
         A name that is not known, a value that cannot be, a file that cannot be used, genomes that are none;
-        or the journal is not what the search asks again.
+        or the journal is not what the search asks again. What is known before anything is evaluated leaves
+        no folder.
     EndedEarly
         Somebody cancelled the job, or processes die again and again; with `resume` it is gone on with.
 
@@ -136,8 +138,11 @@ def optimise(
     ...         print(generation, rows["fitness"].mean())
     >>> run = qdgrasp.optimise(Uniform, "runs/mine", evaluations=1000, gripper="panda", object="mug")
     """
-    if prior not in CUSTOM:
-        raise UnknownName("prior", prior, CUSTOM)
+    path = path_of("out", out)
+    check_place(place)
+    place.check_hands()
+    if prior not in list(CUSTOM):
+        raise UnknownName("prior", str(prior), CUSTOM)
     spec = spec_of(
         scenery,
         method=CUSTOM[prior].name,
@@ -145,43 +150,62 @@ def optimise(
         seed=seed,
         generations_in_flight=generations_in_flight,
     )
-    folder = _folder(Path(out), spec, place, resume=resume)
+    is_there = _is_there(path, spec, resume=resume)
+    scene = RunFolder(path).scene() if is_there else build_scene(spec)
+    searches = Searches(make, layout_of(scene, prior))
     shows: AbstractContextManager[Display] = (
-        display(folder.path.name, evaluations) if progress else nullcontext(Quiet())
+        display(path.name, evaluations) if progress else nullcontext(Quiet())
     )
-    with (
-        shows as shown,
-        folder.job.supervise(),
-        opened(place, folder.job.logs, shown, folder.job.name) as stage,
-    ):
-        stage.hire_recorder(folder.path)
-        stage.hire_workers(place.hands)
-        stage.coordinate(
-            _programme(make, folder),
-            lambda run: RecorderLink(stage.bus, stage.job, run.shape),
-            Stop(),
-            place.batch_size,
-        )
-    return Run(folder.path)
+    meeting = place.meet()  # before there is a folder
+    with meeting[0]:
+        folder = _folder(path, spec, scene, place.job, is_there=is_there)
+        bundle = folder.bundle()
+        with (
+            shows as shown,
+            folder.job.supervise(),
+            opened(place, folder.job.logs, shown, folder.job.name, meeting) as stage,
+        ):
+            stage.hire_recorder(folder.path)
+            stage.hire_workers(place.hands)
+            stage.coordinate(
+                Single(lambda: with_search(searches.next(), spec, scene, bundle), evaluations),
+                lambda run: RecorderLink(stage.bus, stage.job, run.shape),
+                Stop(),
+                place.batch_size,
+            )
+    return Run(path)
 
 
-def _folder(path: Path, spec: RunSpec, place: Place, *, resume: bool) -> RunFolder:
-    """The run's folder: begun, or the one that is there."""
-    if not resume and RunFolder.is_run(path):
-        raise FolderError(f"{path} holds a run already: resume=True goes on with it, or name another folder.")
+class Searches:
+    """A program's searches, one for each time that the run begins: the first is made before anything else."""
+
+    def __init__(self, make: Make, layout: Layout) -> None:
+        self._make = make
+        self._layout = layout
+        self._made = [Looked(make, layout)]
+
+    def next(self) -> Looked:
+        """One that nothing was asked of."""
+        return self._made.pop() if self._made else Looked(self._make, self._layout)
+
+
+def _is_there(path: Path, spec: RunSpec, *, resume: bool) -> bool:
+    """Whether the run was begun; checks that it can be begun, or gone on with."""
     if not RunFolder.is_run(path):
         RunFolder.check_free(path)
-        return RunFolder.create(path, spec, pack_scene(build_scene(spec)), job=place.job)
-    folder = RunFolder(path)
-    if other := differences(folder.spec, spec):
+        return False
+    if not resume:
+        raise FolderError(f"{path} holds a run already: resume=True goes on with it, or name another folder.")
+    if other := differences(RunFolder(path).spec, spec):
         raise FolderError(f"{path} holds a run with another {', '.join(other)}; name another folder.")
-    folder.job.check_not_in_use()
+    RunFolder(path).job.check_not_in_use()
+    return True
+
+
+def _folder(path: Path, spec: RunSpec, scene: Scene, job: str | None, *, is_there: bool) -> RunFolder:
+    """The run's folder: begun, or the one that is there."""
+    if not is_there:
+        return RunFolder.create(path, spec, pack_scene(scene), job=job)
+    folder = RunFolder(path)
     folder.rewrite_spec(spec)  # the budget may be a greater one
     return folder
-
-
-def _programme(make: Make, folder: RunFolder) -> Single:
-    """The run, with a search that is made when it begins."""
-    spec, scene, bundle = folder.spec, folder.scene(), folder.bundle()
-    genes = layout_of(scene, method(spec.method).prior)
-    return Single(lambda: with_search(Looked(make(genes), genes), spec, scene, bundle), spec.evaluations)

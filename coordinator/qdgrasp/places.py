@@ -7,25 +7,38 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import structlog
 
+from qdgrasp.arguments import check_text, check_whole, path_of
 from qdgrasp_coordinator.counts.figures import JobFigures
 from qdgrasp_coordinator.watching import stage
 from qdgrasp_coordinator.watching.progress import Display
 from qdgrasp_coordinator.watching.stage import Stage
 from qdgrasp_protocol.credentials import Credentials, Role
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.endpoint import parse_all
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.logs import speak
+from qdgrasp_protocol.spec import MOST
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 log = structlog.get_logger()
-PATIENCE = 10.0  # seconds that a router is waited for
+PATIENCE = 10.0  # seconds that a router is waited for, and workers before a word is said
+Meeting: TypeAlias = tuple[ZenohBus, str]
+"""A session on the bus, and the endpoint where that is."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where evaluations are carried out: by workers of this machine, by those at a router, or by both."""
+    """Where evaluations are carried out: by workers of this machine, by those at a router, or by both.
+
+    Raises
+    ------
+    InputError
+        A value that cannot be.
+    """
 
     workers: int | None = None
     """Worker processes that are started here; None: one per core, and none at a router."""
@@ -41,6 +54,16 @@ class Place:
     """Rows in a batch; None: measured. No result depends on it."""
 
     def __post_init__(self) -> None:
+        check_whole("Place: workers", self.workers, 0)
+        check_whole("Place: batch_size", self.batch_size, 1, MOST)
+        check_text("Place: job", self.job)
+        check_text("Place: connect", self.connect)
+        if self.job:
+            Keys(self.job)
+        if self.connect:
+            parse_all(self.connect)
+        if self.security is not None:
+            path_of("Place: security", self.security)
         if self.security and not self.connect:
             raise InputError(
                 "Place: certificates are for the links to a router: name it with connect='tls/HOST:PORT', or "
@@ -59,7 +82,21 @@ class Place:
         """What every process that is started here is given."""
         return ["--security", str(self.security)] if self.security else []
 
-    def meet(self) -> tuple[ZenohBus, str]:
+    def check_hands(self) -> None:
+        """Check that somebody can come who evaluates.
+
+        Raises
+        ------
+        InputError
+            No worker is started, and nobody else learns where this is.
+        """
+        if not self.hands and self.connect is None:
+            raise InputError(
+                "Place(workers=0) has nobody who evaluates: start workers, or name a router that has some "
+                "with connect='tcp/HOST:PORT'."
+            )
+
+    def meet(self) -> Meeting:
         """A session on the bus, and where that is.
 
         Raises
@@ -77,8 +114,22 @@ HERE = Place()
 """This machine, all of it."""
 
 
+def check_place(place: object) -> None:
+    """Check that a program says by a `Place` where something is done.
+
+    Raises
+    ------
+    ImpossibleValue
+        It says something else.
+    """
+    if not isinstance(place, Place):
+        raise ImpossibleValue("place", place, "a qdgrasp.Place, such as qdgrasp.Place(workers=2)")
+
+
 @contextmanager
-def opened(place: Place, logs: Path, shown: Display, job: str | None = None) -> Iterator[Stage]:
+def opened(
+    place: Place, logs: Path, shown: Display, job: str | None = None, meeting: Meeting | None = None
+) -> Iterator[Stage]:
     """Open a place; leaving it ends the processes that were started.
 
     Parameters
@@ -87,6 +138,8 @@ def opened(place: Place, logs: Path, shown: Display, job: str | None = None) -> 
         The folder in which each process has a log.
     job
         The job's name unless the place has one; None: one that no other has.
+    meeting
+        What the place's `meet` gave; None: it is asked.
 
     Raises
     ------
@@ -96,15 +149,21 @@ def opened(place: Place, logs: Path, shown: Display, job: str | None = None) -> 
     if not structlog.is_configured():
         speak("qdgrasp", level=logging.WARNING)
     name = place.job or job or f"python-{secrets.token_hex(4)}"
-    with stage.opened(name, logs, shown, *place.meet(), place.proof) as here:
+    with stage.opened(name, logs, shown, *(meeting or place.meet()), place.proof) as here:
         yield here
 
 
 class Quiet:
-    """A display that shows nothing, and only logs what happens to processes."""
+    """A display that shows nothing, and only logs what happens to processes, and that nobody evaluates."""
+
+    def __init__(self) -> None:
+        self._is_told = False
 
     def show(self, figures: JobFigures) -> None:
-        """Nobody looks."""
+        """Say once that no worker has come, long after one was to."""
+        if not (self._is_told or figures.workers or figures.rate) and figures.seconds > PATIENCE:
+            self._is_told = True
+            self.say(f"job '{figures.job}' waits: no worker has come to it yet")
 
     def say(self, sentence: str) -> None:
         """Note what happened."""

@@ -3,10 +3,10 @@
 import os
 from collections.abc import Iterator
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
+from qdgrasp.arguments import path_of
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.campaigns.summary import Summary, summary
@@ -30,12 +30,14 @@ class Run:
 
     Raises
     ------
+    ImpossibleValue
+        It is no path.
     FolderError
         There is no run in it.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = path_of("path", path)
         self._folder = RunFolder.open(self.path)
 
     def __repr__(self) -> str:
@@ -111,6 +113,8 @@ def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001  # said as qdgrasp.
 
     Raises
     ------
+    ImpossibleValue
+        It is no path.
     FolderError
         There is no run in it.
 

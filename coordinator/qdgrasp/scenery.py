@@ -4,7 +4,7 @@ import os
 from typing import Any, Required, TypedDict
 
 from qdgrasp_coordinator.runs.preparation import located
-from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.spec import ProtocolName, RunSpec, run_spec
 
 
@@ -33,11 +33,14 @@ def spec_of(scenery: Scenery, **more: Any) -> RunSpec:
     Raises
     ------
     InputError
-        A keyword that is none, or a value that cannot be; what can is named.
+        A keyword that is none or that is missing, or a value that cannot be; what can is named.
     """
     for name in scenery:
         if name not in Scenery.__annotations__:
             raise UnknownName("keyword", name, Scenery.__annotations__)
+    for name in sorted(Scenery.__required_keys__):
+        if scenery.get(name) is None:
+            raise InputError(f"qdgrasp: '{name}' is missing; say {name}=... with a name or a file.")
     values = {name: value for name, value in ({**scenery, **more}).items() if value is not None}
     for name in ("gripper", "object"):
         if isinstance(values.get(name), os.PathLike):

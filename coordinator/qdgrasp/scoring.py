@@ -62,6 +62,7 @@ def evaluate(
     poses = Poses.of(KEYWORDS, positions, quaternions_xyzw, synergies, spreads)
     evaluations = Evaluations(prior=GIVEN, place=place, **scenery)
     genomes = poses.genomes(evaluations.scene)
+    place.check_hands()
     with evaluations:
         rows = evaluations.journal(genomes)
     return scores(rows, trials(evaluations.spec.protocol))

@@ -4,6 +4,7 @@ import inspect
 import os
 import sys
 
+from qdgrasp.arguments import check_seconds, check_text, check_whole, path_of
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_worker.cli import app
 from qdgrasp_worker.serving.judge import Make
@@ -49,7 +50,8 @@ def serve(
     Raises
     ------
     InputError
-        The evaluator cannot be found by another process, no router answers, or the job does not take it.
+        A value that cannot be; the evaluator cannot be found by another process, no router answers, or the
+        job does not take it.
 
     Notes
     -----
@@ -60,11 +62,16 @@ def serve(
     --------
     >>> qdgrasp.serve(Ballistic, connect="tcp/127.0.0.1:7447", job="mine")
     """
+    check_text("serve: connect", connect)
+    check_text("serve: job", job)
+    check_whole("serve: workers", workers, 1)
+    check_seconds("serve: row_seconds", row_seconds, 0.1)
+    check_seconds("serve: wait", wait, 0)
     flags = {
         "--evaluator": evaluator if isinstance(evaluator, str) else name_of(evaluator),
         "--connect": connect,
         "--job": job,
-        "--security": None if security is None else os.fspath(security),
+        "--security": None if security is None else path_of("serve: security", security),
         "--workers": workers,
         "--row-seconds": row_seconds,
         "--wait": wait,

@@ -87,3 +87,9 @@ def test_a_run_that_has_nothing_yet_has_no_rows(tmp_path: Path) -> None:
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds no run"):
         qdgrasp.open(tmp_path)
+
+
+@pytest.mark.parametrize("path", [3, None])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    with pytest.raises(ImpossibleValue, match="path must be a path"):
+        qdgrasp.open(path)

@@ -18,6 +18,8 @@ BAD = {
     "a place that is far": ({"positions": [[0, 0, 1e30]]}, "positions must be no more than 1000 m away"),
     "no pose": ({"positions": [[]] * 0}, "positions must be numbers of shape"),
     "another keyword": ({"colour": 3}, "Unknown keyword 'colour'"),
+    "no object": ({"object": None}, "'object' is missing; say object=... with a name or a file"),
+    "nobody who evaluates": ({"place": qdgrasp.Place(workers=0)}, "has nobody who evaluates"),
 }
 
 
@@ -71,7 +73,7 @@ class Narrow:
 
 def test_after_a_search_that_asked_wrongly_it_is_said_how_to_go_on(tmp_path: Path) -> None:
     def attempt() -> str:
-        place = qdgrasp.Place(workers=0)
+        place = qdgrasp.Place(workers=1)
         with pytest.raises(InputError) as refused:
             qdgrasp.optimise(
                 Narrow, tmp_path / "out", evaluations=10, place=place, gripper="panda", object="tennis_ball"
