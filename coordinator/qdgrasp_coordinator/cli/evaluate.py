@@ -13,7 +13,6 @@ from qdgrasp_coordinator.runs.preparation import make_bundle
 from qdgrasp_coordinator.watching.progress import display
 from qdgrasp_coordinator.watching.scoring import score
 from qdgrasp_coordinator.watching.supervisor import Team
-from qdgrasp_protocol.errors import OutputError
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import run_spec
@@ -56,8 +55,9 @@ def evaluate(
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"
         raise typer.BadParameter(f"{missing} is missing: name an npz file.")
-    output = OutFile(out, force=force)
-    _check(output, poses)
+    named = (Path(each) for each in (gripper, object_) if each)
+    output = OutFile(out, force=force, inputs=(poses, *named))
+    output.check()
     spec = run_spec({name: value for name, value in values.items() if value is not None}, "evaluate")
     given = read_poses(poses)
     team = Team(options.cores() if workers is None else workers, batch_size)
@@ -71,11 +71,3 @@ def evaluate(
     with output.writing() as made:
         write_scores(made, rows, trials(spec.protocol))
     typer.echo(f"{counted(len(given), 'pose')} scored, written to {out}")
-
-
-def _check(output: OutFile, poses: Path) -> None:
-    """Check that scores may be written, and not over their own poses."""
-    out = output.path
-    if out.absolute() == poses.absolute() or (out.exists() and poses.exists() and out.samefile(poses)):
-        raise OutputError(out, "holds the poses", output.instead)
-    output.check()

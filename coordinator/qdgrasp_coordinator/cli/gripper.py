@@ -91,7 +91,7 @@ def new(
         free=None if free is None else wizard.words("free", free),
     )
     target = out or Path(urdf.with_suffix(".toml").name)
-    file = OutFile(target, suffixes=(".toml",), force=force)
+    file = OutFile(target, suffixes=(".toml",), force=force, inputs=(urdf,))
     file.check()
     robot, asks = _whole(urdf), is_asked() and not yes
     with ExitStack() as until_written:

@@ -48,7 +48,7 @@ def import_(
     from qdgrasp_coordinator.exchange.importing import read_grasps
     from qdgrasp_coordinator.exchange.things import hand_of, thing_of
 
-    output = OutFile(out, force=force)
+    output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
     output.check()
     metres = scale_of(units, scale)
     told_in = None if frame is None else frame_of(frame)

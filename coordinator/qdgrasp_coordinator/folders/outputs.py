@@ -98,6 +98,8 @@ class OutFile(Whole):
     """What its name may end with; none: with anything."""
     force: bool | None = False
     """Whether a file that is there is replaced; None: it is not, and the command has no flag for it."""
+    inputs: tuple[Path, ...] = ()
+    """Files that the command reads, which it never replaces; those that are not there are passed over."""
 
     def write(self, payload: bytes) -> None:
         """Write it; raises as `writing`."""
@@ -110,6 +112,8 @@ class OutFile(Whole):
         what = _what(self.path)
         if what not in ("", FILE):
             raise self._refused(f"is {what}, where {FILE} is to be written")
+        if what and any(disk.is_file(each) and self.path.samefile(each) for each in self.inputs):
+            raise self._refused("is a file that is read here")
         if what and not self.force:
             raise OutputError(self.path, "is there already", self.instead, forces=self.force is not None)
 

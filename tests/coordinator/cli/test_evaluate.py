@@ -28,7 +28,7 @@ def test_poses_are_not_replaced_by_their_scores_even_by_force(poses: Path) -> No
     before = poses.read_bytes()
     (poses.parent / "again.npz").hardlink_to(poses)
     for out in (poses, poses.parent / "again.npz"):
-        assert "holds the poses" in refusal("--poses", poses, "--out", out, "--force")
+        assert "is a file that is read here" in refusal("--poses", poses, "--out", out, "--force")
     assert poses.read_bytes() == before
 
 

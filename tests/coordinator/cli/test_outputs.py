@@ -140,6 +140,26 @@ def test_a_file_takes_the_place_of_no_part_of_a_run(command: str) -> None:
 
 
 @pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(
+    ("command", "read"),
+    [
+        ("evaluate --gripper panda --object part.stl --poses poses.npz --out OUT --force", "poses.npz"),
+        ("evaluate --gripper panda --object part.stl --poses poses.npz --out OUT --force", "part.stl"),
+        ("import grasps.yaml --gripper hand.toml --object part.stl -o OUT --force", "grasps.yaml"),
+        ("import grasps.yaml --gripper hand.toml --object part.stl -o OUT --force", "hand.toml"),
+        ("import grasps.yaml --gripper hand.toml --object part.stl -o OUT --force", "part.stl"),
+        ("gripper new urdf.toml -o OUT --force", "urdf.toml"),
+    ],
+)
+def test_a_file_takes_the_place_of_none_that_is_read(command: str, read: str) -> None:
+    for name in {"poses.npz", "hand.toml", "urdf.toml"} & {read}:
+        Path(name).write_text("mine")
+    before = Path(read).read_bytes()
+    assert refused(command, read) == (f"{read} is a file that is read here; name another path with --out.")
+    assert Path(read).read_bytes() == before
+
+
+@pytest.mark.usefixtures("home")
 @each(FILES, ADDING)
 def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
     out = written(command)

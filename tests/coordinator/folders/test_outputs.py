@@ -185,6 +185,16 @@ def test_nothing_takes_the_place_of_a_part_of_a_run(
     kind(tmp_path / "spec.toml", force=force).check()
 
 
+@pytest.mark.parametrize("force", [False, True, None])
+def test_a_file_takes_the_place_of_none_that_is_read(tmp_path: Path, force: bool | None) -> None:
+    (tmp_path / "read").write_text("mine")
+    (tmp_path / "again").hardlink_to(tmp_path / "read")
+    for name in ("read", "again"):
+        output = OutFile(tmp_path / name, force=force, inputs=(tmp_path / "nowhere", tmp_path / "read"))
+        assert refused(output) == f"{tmp_path / name} is a file that is read here; {ADVICE}."
+    OutFile(tmp_path / "new", inputs=(tmp_path / "nowhere", tmp_path / "read")).check()
+
+
 @pytest.mark.parametrize("mark", ["job.json", "campaign.toml", "scene.bundle", "run.sqlite"])
 def test_a_run_that_lacks_other_files_is_one_too(mark: str, tmp_path: Path) -> None:
     (tmp_path / mark).write_text("mine")
