@@ -5,6 +5,7 @@ import pytest
 
 from qdgrasp_assets.catalog import find_gripper, gripper_names
 from qdgrasp_assets.gripper import read_gripper
+from qdgrasp_assets.gripper_faults import gripper_faults
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownKey
 
 
@@ -218,6 +219,48 @@ def test_an_impossible_jaw_is_refused(claw: Path, old: str, new: str, words: str
     claw.write_text(claw.read_text() + JAW.replace(old, new))
     with pytest.raises(InputError, match=words):
         read_gripper(claw, "claw", "tests")
+
+
+SYNERGY = '\n[[synergies]]\nname = "all"\njoints = ["bend"]\n'
+FREE = "\n[free_joints.bend]\nlow = 1.5\nhigh = 0.0\n"
+
+
+@pytest.mark.parametrize("more", [SYNERGY, FREE, SYNERGY + SYNERGY.replace("all", "others")])
+def test_synergies_and_free_joints_that_can_be_are_taken(claw: Path, more: str) -> None:
+    claw.write_text(claw.read_text() + more)
+    assert list(gripper_faults(read(claw).file, read(claw).robot)) == []
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (SYNERGY + SYNERGY, "more than one of the synergies is called 'all'"),
+        (SYNERGY.replace('"all"', '""'), "a synergy of bend has no name"),
+        (SYNERGY.replace('"bend"', ""), "the synergy 'all' has no joints"),
+        (SYNERGY.replace('"bend"', '"bend", "bend"'), "the synergy 'all' names 'bend' more than once"),
+        (f"driven = false{SYNERGY}", "the synergy 'all' names 'bend', which is not driven"),
+        (FREE.replace("1.5", "-9"), r"free_joints\.bend\.low is -9, outside the URDF's limits 0 to 1\.5"),
+        (FREE.replace("0.0", "9.0"), r"free_joints\.bend\.high is 9, outside the URDF's limits 0 to 1\.5"),
+        (FREE.replace("0.0", "1.5"), r"free_joints\.bend has one place, 1\.5, for low and high"),
+    ],
+)
+def test_impossible_synergies_and_free_joints_are_refused(claw: Path, more: str, words: str) -> None:
+    claw.write_text(claw.read_text() + more)
+    with pytest.raises(AssetError, match=words):
+        read(claw)
+
+
+@pytest.mark.parametrize("force", [0.0, -5.0])
+def test_a_carrier_that_holds_nothing_is_refused(claw: Path, edit, force: float) -> None:
+    edit(claw, "palm_offset", f"carrier_hold_force = {force}\npalm_offset")
+    with pytest.raises(AssetError, match=f"carrier_hold_force must be greater than 0, got {force:g}"):
+        read(claw)
+
+
+@pytest.mark.parametrize("name", gripper_names())
+def test_nothing_is_wrong_with_a_hand_that_is_built_in(name: str) -> None:
+    gripper = find_gripper(name)
+    assert list(gripper_faults(gripper.file, gripper.robot)) == []
 
 
 def test_the_extent_is_the_largest_side_of_the_hand_alone_at_zero(claw: Path) -> None:
