@@ -162,6 +162,18 @@ def test_no_file_says_in_which_folders_its_author_has_files(
 
 
 @each_format
+def test_no_file_has_the_poses_that_its_run_was_given(scene: Scene, tmp_path: Path, name: str) -> None:
+    secret = (0.1234567, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    rows = random_rows(scene, [Outcome.HELD], prior="given")
+    run = record(tmp_path / "run", scene, rows, method="given", poses=(secret,), evaluations=1)
+    export(run, tmp_path / "out", name)
+    assert not any(b"0.1234567" in file.read_bytes() for file in files(tmp_path / "out"))
+    if name != "csv":
+        (spec,) = (from_toml(each["spec"]) for each in words_of(tmp_path / "out", name)["runs"])
+        assert spec == msgspec.structs.replace(run.spec, poses=None)
+
+
+@each_format
 def test_every_file_has_the_digests_of_what_the_bundle_holds_of_hand_and_object(
     run: RunFolder, tmp_path: Path, name: str
 ) -> None:

@@ -2,6 +2,7 @@
 
 import socket
 import threading
+from http.client import HTTPConnection
 from urllib.request import urlopen
 
 import pytest
@@ -9,7 +10,7 @@ from tests.coordinator.monitor.web.conftest import HERE, free_port, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed
 from tests.patience import PATIENCE
 
-from qdgrasp_coordinator.monitor.web import visit
+from qdgrasp_coordinator.monitor.web import app, visit
 
 
 def ended(connection: socket.socket) -> bool:
@@ -68,3 +69,23 @@ def test_one_address_does_not_take_the_room_of_others(
             assert not ended(other)
         for one in crowd:
             one.close()
+
+
+def test_whoever_comes_to_a_full_house_is_asked_to_try_again(
+    feed: FakeFeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app, "CONNECTIONS", 4)
+    port = free_port()
+    with serving(feed, port):
+        guests = [HTTPConnection(HERE, port, timeout=PATIENCE) for _ in range(4)]
+        assert [asked(guest) for guest in guests] == [200, 200, 200, 503]
+        for guest in guests:
+            guest.close()
+
+
+def asked(guest: HTTPConnection) -> int:
+    """What a connection is answered with that stays there afterwards."""
+    guest.request("GET", "/api/state")
+    answer = guest.getresponse()
+    answer.read()
+    return answer.status
