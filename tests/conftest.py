@@ -18,6 +18,8 @@ os.environ.setdefault("QDGRASP_NICE", "0")  # simulators that tests wait for sta
 TESTS = Path(__file__).resolve().parent
 STARTERS = {"system": "jobs", "chaos": "jobs", "examples": "jobs", "docs": "pages"}
 """Where tests start processes of their own, and in which row: two of one row never run at a time."""
+LONG = ("worker", "simulation", "assets")
+"""Where modules take long: they come before the many short ones, with which all processes end together."""
 SIBLING = TESTS.parents[1] / "shared" / "data"
 """Where the reference data lies beside a checkout; QDGRASP_ASSET_PATH names another place."""
 
@@ -44,14 +46,25 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByModule:
     return ByModule(config, log)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One process more than there are processors, for many tests wait for others."""
+    return len(os.sched_getaffinity(0)) + 1
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What starts processes of its own takes longest, and comes first."""
-    items.sort(key=lambda item: row(item.path) == "")
+    """What takes longest comes first: what starts processes of its own, and then long modules."""
+    items.sort(key=lambda item: 0 if row(item.path) else 1 if folder(item.path) in LONG else 2)
 
 
 def row(module: Path) -> str:
     """The row of a module that starts processes; empty: it starts none."""
-    return STARTERS.get(module.relative_to(TESTS).parts[0], "")
+    return STARTERS.get(folder(module), "")
+
+
+def folder(module: Path) -> str:
+    """The folder of the tests that a module is in."""
+    return module.relative_to(TESTS).parts[0]
 
 
 @pytest.fixture(scope="session")

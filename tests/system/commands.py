@@ -7,20 +7,27 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 import msgspec
 from tests.patience import PATIENCE
+from tests.system import forked
 
 from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.folders.digest import digest
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 
+Found = TypeVar("Found")
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
-LONG = (*SMALL, "--evaluations", "320")
+BUDGET = 160
+"""Evaluations of a run of which the last are aimed, and that takes long enough to disturb it."""
+LONG = (*SMALL, "--evaluations", BUDGET)
 
 
 @dataclass(frozen=True)
@@ -43,10 +50,13 @@ class Commands:
         self.home = home
         self._started: list[subprocess.Popen[str]] = []
 
-    def __call__(self, *arguments: object, **environment: str) -> Done:
-        process = self.start(*arguments, **environment)
-        out, err = process.communicate(timeout=PATIENCE)
-        return Done(process.returncode, out, err)
+    def __call__(self, *arguments: object, entry: str = "qdgrasp", **environment: str) -> Done:
+        """Run one of the commands, named by its function in `qdgrasp.entry`, to its end."""
+        with TemporaryDirectory() as folder:
+            out, err = said = [Path(folder) / name for name in ("out", "err")]
+            words = [entry, *map(str, arguments)]
+            code = forked.run(words, self.home, self._environment(environment), said)
+            return Done(code, out.read_text(), err.read_text())
 
     def start(
         self, *arguments: object, module: str = "qdgrasp", file_size: int | None = None, **environment: str
@@ -56,7 +66,7 @@ class Commands:
         process = subprocess.Popen(
             command,
             cwd=self.home,
-            env={**os.environ, "QDGRASP_CACHE": str(self.home / "cache"), **environment},
+            env=self._environment(environment),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -65,6 +75,9 @@ class Commands:
         )
         self._started.append(process)
         return process
+
+    def _environment(self, more: dict[str, str]) -> dict[str, str]:
+        return {**os.environ, "QDGRASP_CACHE": str(self.home / "cache"), **more}
 
     def digest(self, folder: str | Path) -> str:
         """What `qdgrasp digest` prints, without a process for it."""
@@ -86,12 +99,13 @@ def _limit_files(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
-def wait_for(condition: Callable[[], bool], what: str) -> None:
-    """Look again and again until something holds; the test fails when it takes too long."""
+def wait_for(look: Callable[[], Found], what: str) -> Found:
+    """Look again and again until something is found, and give it; the test fails when it takes too long."""
     deadline = time.monotonic() + PATIENCE
-    while not condition():
+    while not (found := look()):
         assert time.monotonic() < deadline, f"waited in vain for {what}"
         time.sleep(0.02)  # between two looks; nothing depends on how long it is
+    return found
 
 
 def says(process: subprocess.Popen[str], words: str) -> None:
@@ -114,23 +128,43 @@ def rows_recorded(folder: Path) -> int:
 
 def processes_of(starter: int) -> dict[str, int]:
     """The processes that a command started: their names and pids."""
-    children = Path(f"/proc/{starter}/task/{starter}/children")
-    if not children.exists():
-        return {}
     found = {}
-    for number, pid in enumerate(children.read_text().split()):
-        title = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[0].decode()
-        found[f"{title.split()[0]}-{number}" if title else str(number)] = int(pid)
+    for number, pid in enumerate(_told(f"{starter}/task/{starter}/children").split()):
+        title = _told(f"{pid}/cmdline").partition("\0")[0].split()
+        found[f"{title[0]}-{number}" if title else str(number)] = int(pid)
     return found
+
+
+def pids(process: subprocess.Popen[str], role: str) -> list[int]:
+    """The processes of a role that a command started, as far as they have taken their names."""
+    return [pid for name, pid in processes_of(process.pid).items() if name.startswith(f"qdgrasp-{role}")]
 
 
 def kill(pid: int) -> None:
     os.kill(pid, signal.SIGKILL)
 
 
+@contextmanager
+def held(*stopped: int) -> Iterator[None]:
+    """Processes that stand still meanwhile, so that what waits for them does not come to its end."""
+    for pid in stopped:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for pid in filter(is_alive, stopped):
+            os.kill(pid, signal.SIGCONT)
+
+
 def is_alive(pid: int) -> bool:
     """A process is there and not a zombie."""
+    told = _told(f"{pid}/stat")
+    return bool(told) and told.rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def _told(name: str) -> str:
+    """What /proc tells of a process; nothing if it is not there, or goes just now."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
+        return Path("/proc", name).read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.system.commands import LONG, SMALL, Commands
+from tests.system.commands import LONG, Commands
 
 
 @pytest.fixture
@@ -15,19 +15,16 @@ def qdgrasp(tmp_path: Path) -> Iterator[Commands]:
 
 
 @pytest.fixture(scope="session")
-def long_digest(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The digest of an undisturbed run that takes long enough to disturb it."""
-    commands = Commands(tmp_path_factory.mktemp("long"))
-    done = commands("run", *LONG, "--workers", 2, "--out", "run")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict]:
+    """An undisturbed run: its folder, digest and figures."""
+    home = tmp_path_factory.mktemp("reference")
+    commands = Commands(home)
+    done = commands("run", *LONG, "--workers", 1, "--out", "run")
     assert done.code == 0, done.err
-    return commands.digest("run")
+    return home / "run", commands.digest("run"), commands.info("run")
 
 
 @pytest.fixture(scope="session")
-def reference(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, dict]:
-    """An undisturbed run of 200 evaluations: its folder, digest and figures."""
-    home = tmp_path_factory.mktemp("reference")
-    commands = Commands(home)
-    done = commands("run", *SMALL, "--evaluations", 200, "--workers", 1, "--out", "run")
-    assert done.code == 0, done.err
-    return home / "run", commands.digest("run"), commands.info("run")
+def long_digest(reference: tuple[Path, str, dict]) -> str:
+    """What a run is to have in the end that was disturbed."""
+    return reference[1]

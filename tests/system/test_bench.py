@@ -39,12 +39,11 @@ def test_a_person_gets_a_table_and_one_worker_has_nothing_to_scale(qdgrasp):
 
 def test_ctrl_c_ends_it_with_all_its_workers(qdgrasp):
     process = qdgrasp.start("bench", "--object", "tennis_ball", "--workers", 2, "--seconds", 600)
-    wait_for(lambda: len(processes_of(process.pid)) > 0 or process.poll() is not None, "a worker")
-    workers = processes_of(process.pid).values()
+    workers = wait_for(lambda: processes_of(process.pid), "a worker").values()
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (130, ""), err
-    assert not any(is_alive(pid) for pid in workers)
+    wait_for(lambda: not any(map(is_alive, workers)), "their end")
 
 
 def test_a_name_that_is_not_there_is_refused_before_anything_starts(qdgrasp):

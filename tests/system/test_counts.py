@@ -1,9 +1,8 @@
 """At the end of a run everybody says the same of it: page, terminal, metrics, its folder and its journal."""
 
 import json
-import os
 import re
-import signal
+import resource
 import subprocess
 import threading
 import urllib.request
@@ -15,31 +14,34 @@ import numpy as np
 from prometheus_client.parser import text_string_to_metric_families
 from tests.endpoints import own_endpoint
 from tests.patience import PATIENCE
-from tests.system.commands import SMALL, Commands, rows_recorded, wait_for
-from tests.system.test_faults import pids
+from tests.system.commands import SMALL, Commands, pids, rows_recorded, wait_for
 
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.journal_format import FILE
 from qdgrasp_protocol.outcome import Outcome
 
 MONITOR = "qdgrasp_coordinator.cli.monitor"
-EVALUATIONS = 160
+EVALUATIONS = 120
 COUNTS = ["evaluations", "budget", "rows", "trials", "simulated", "proposals", "overlaps", "dead_ends"]
 COUNTS += ["successes", "grasps", "robust", "errors", "cells"]
 Counts = dict[str, Any]
 
 
 class Watched:
-    """A run with two workers on an endpoint of its own, and those who watch it."""
+    """A run with two workers on an endpoint of its own, and those who watch it from some time on."""
 
     def __init__(self, qdgrasp: Commands) -> None:
         self.qdgrasp, self.folder = qdgrasp, qdgrasp.home / "run"
         self._place = ("--connect", own_endpoint(), "--wait", 60)
-        spec = (*SMALL, "--evaluations", EVALUATIONS, "--workers", 2)
-        place = ("--out", "run", "--job", "balls", "--listen", self._place[1])
+        spec = (*SMALL, "--evaluations", EVALUATIONS, "--workers", 2, "--batch-size", 10)
+        place = ("--out", "run", "--job", "balls", "--listen", self._place[1], "--disk-wait", PATIENCE)
         self.run = qdgrasp.start("run", *spec, *place)
-        self.page = qdgrasp.start("--web", "127.0.0.1:0", *self._place, module=MONITOR)
+
+    def is_watched(self) -> None:
+        """Start those who watch."""
+        self.page = self.qdgrasp.start("--web", "127.0.0.1:0", *self._place, module=MONITOR)
         self._lines: deque[str] = deque(maxlen=1)
-        self.stream = qdgrasp.start("--json", *self._place, module=MONITOR)
+        self.stream = self.qdgrasp.start("--json", *self._place, module=MONITOR)
         threading.Thread(target=lambda: self._lines.extend(self.stream.stdout), daemon=True).start()
         self._address = _address(self.page)
 
@@ -53,7 +55,7 @@ class Watched:
 
     def once(self, *flags: str) -> str:
         """What `qdgrasp-monitor --once` prints."""
-        return self.qdgrasp("--once", *flags, *self._place, module=MONITOR).out
+        return self.qdgrasp("--once", *flags, *self._place, entry="monitor").out
 
     def streamed(self) -> Counts:
         """The run in the last line of `qdgrasp-monitor --json`."""
@@ -68,14 +70,14 @@ class Watched:
         return jobs[0]["state"] if jobs else ""
 
     @contextmanager
-    def recorder_held(self):
-        """The recorder does nothing meanwhile: all that is found waits for it, and the job does not end."""
+    def without_room(self):
+        """The recorder has no room meanwhile: all that is found waits for it, and the job does not end."""
         (recorder,) = pids(self.run, "recorder")
-        os.kill(recorder, signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            os.kill(recorder, signal.SIGCONT)
+        _, most = resource.prlimit(recorder, resource.RLIMIT_FSIZE)
+        written = (self.folder / f"{FILE}-wal").stat().st_size
+        resource.prlimit(recorder, resource.RLIMIT_FSIZE, (written, most))
+        yield
+        resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
 
 
 def _address(page: subprocess.Popen[str]) -> str:
@@ -130,8 +132,9 @@ def _in_journal(folder) -> Counts:
 
 def test_at_the_end_everybody_says_the_same(qdgrasp):
     watched = Watched(qdgrasp)
-    wait_for(lambda: rows_recorded(watched.folder) >= 20, "rows")
-    with watched.recorder_held():
+    wait_for(lambda: rows_recorded(watched.folder) > 0, "rows")
+    with watched.without_room():
+        watched.is_watched()
         wait_for(lambda: watched.told().get("evaluations") == EVALUATIONS, "the last evaluation")
         looked, text = watched.look(), watched.once()
     out, err = watched.run.communicate(timeout=PATIENCE)

@@ -2,9 +2,8 @@
 
 from tests.endpoints import own_endpoint
 from tests.patience import PATIENCE
-from tests.system.commands import LONG, SMALL, Commands, kill, rows_recorded, says, wait_for
+from tests.system.commands import LONG, SMALL, Commands, held, kill, pids, rows_recorded, says, wait_for
 from tests.system.test_bad_input import sentence
-from tests.system.test_faults import pids
 
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -16,17 +15,24 @@ class Running:
         self.qdgrasp, self.endpoint, self.folder = qdgrasp, own_endpoint(), qdgrasp.home / "run"
         command = ("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run", "--job", "mugs")
         self.process = qdgrasp.start(*command, "--listen", self.endpoint, *flags)
-        self.waits_for(20)
-
-    def waits_for(self, rows: int) -> None:
-        wait_for(lambda: rows_recorded(self.folder) >= rows or self.process.poll() is not None, "rows")
+        wait_for(lambda: rows_recorded(self.folder) >= 20 or self.process.poll() is not None, "rows")
         assert self.process.poll() is None, self.process.communicate()
 
     def __call__(self, command: str, *arguments: str):
         return self.qdgrasp(command, *arguments, "--connect", self.endpoint)
 
+    def at_rest(self):
+        """Nobody works meanwhile, so that the job is there however long something takes."""
+        workers = wait_for(lambda: two(pids(self.process, "worker")), "both workers")
+        return held(*workers)
+
+    def jobs(self) -> list[dict]:
+        """What is shown of all jobs; none while there is no router."""
+        done = self("jobs", "--json")
+        return done.json["jobs"] if done.code == 0 else []
+
     def shown(self) -> dict:
-        (job,) = self("jobs", "--json").json["jobs"]
+        (job,) = self.jobs()
         return job
 
     def ends(self) -> tuple[int, str]:
@@ -34,19 +40,28 @@ class Running:
         return self.process.returncode, err
 
 
+def two(found: list[int]) -> list[int]:
+    return found if len(found) == 2 else []
+
+
+def is_idle(job: dict) -> bool:
+    """Whether both of its workers are there, and have nothing to do."""
+    workers = [(worker["state"], worker["batches"]) for worker in job["workers"]]
+    return workers == [("idle", 0)] * 2
+
+
 def test_a_job_is_seen_paused_continued_and_ends_with_the_same_digest(qdgrasp, long_digest):
     run = Running(qdgrasp)
-    assert "is paused" in run("pause", "mugs").out
-    wait_for(lambda: not any(worker["batches"] for worker in run.shown()["workers"]), "idle workers")
+    with run.at_rest():
+        assert "is paused" in run("pause", "mugs").out
+    wait_for(lambda: is_idle(run.shown()), "idle workers")
     paused = run.shown()
     assert (paused["figures"]["state"], paused["figures"]["recorders"]) == ("paused", 1)
-    assert [worker["state"] for worker in paused["workers"]] == ["idle", "idle"]
     assert run.shown()["figures"]["evaluations"] == paused["figures"]["evaluations"]
     assert "paused until `qdgrasp continue mugs`" in run("jobs").out
     assert "Unknown job 'bowls'. Known: mugs." in sentence(run("cancel", "bowls"))
     kill(pids(run.process, "coordinator")[0])
-    wait_for(lambda: bool(run("jobs", "--json").json["jobs"]), "the next coordinator")
-    wait_for(lambda: run.shown()["meta"]["epoch"] == 2, "its turn")
+    wait_for(lambda: [job["meta"]["epoch"] for job in run.jobs()] == [2], "the next coordinator's turn")
     assert run.shown()["figures"]["state"] == "paused"
     assert run("continue", "mugs").out == "Job 'mugs' goes on.\n"
     code, err = run.ends()
@@ -56,12 +71,13 @@ def test_a_job_is_seen_paused_continued_and_ends_with_the_same_digest(qdgrasp, l
 
 def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long_digest):
     run = Running(qdgrasp)
-    assert "Job 'mugs' ends" in run("cancel", "mugs").out
+    with run.at_rest():
+        assert "Job 'mugs' ends" in run("cancel", "mugs").out
     code, err = run.ends()
     assert code == 1
     assert "Job 'mugs' was cancelled. `qdgrasp resume run` goes on" in err
     assert rows_recorded(run.folder) >= 20
-    done = qdgrasp("resume", "run", "--workers", 2)
+    done = qdgrasp("resume", "run", "--workers", 1)
     assert done.code == 0, done.err
     assert qdgrasp.digest("run") == long_digest
 
@@ -78,16 +94,16 @@ def test_a_coordinator_that_is_cancelled_ends_as_it_was_asked_to(qdgrasp):
 
 
 def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
-    done = qdgrasp("run", *LONG, "--workers", 2, "--out", "run", "--seconds", 3)
+    done = qdgrasp("run", *LONG, "--workers", 1, "--out", "run", "--seconds", 1.5)
     assert done.code == 0, done.err
     assert "It is not finished; `qdgrasp resume run` goes on" in done.out
-    again = qdgrasp("resume", "run", "--workers", 2)
+    again = qdgrasp("resume", "run", "--workers", 1)
     assert again.code == 0, again.err
     assert qdgrasp.digest("run") == long_digest
 
 
 def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
-    goal = ("run", *SMALL, "--evaluations", 200, "--workers", 2)
+    goal = ("run", *SMALL, "--evaluations", 200, "--workers", 1)
     done = qdgrasp(*goal, "--successes", 12, "--out", "run")
     assert done.code == 0, done.err
     assert "12 successes in" in done.out

@@ -18,8 +18,7 @@ from queue import SimpleQueue
 
 import pytest
 from tests.endpoints import own_endpoint
-from tests.system.commands import LONG, PATIENCE, SMALL, Commands, kill, rows_recorded, wait_for
-from tests.system.test_faults import pids
+from tests.system.commands import PATIENCE, SMALL, Commands, held, kill, pids, rows_recorded, wait_for
 
 from qdgrasp_coordinator.counts.figures import Figures, JobFigures, from_json
 from qdgrasp_coordinator.counts.team import TeamFigures
@@ -34,45 +33,47 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 MONITOR = "qdgrasp_coordinator.cli.monitor"
-STOPS = 2.0
-"""Seconds that it may take to stop, on a machine that is not busy with something else."""
+ENDLESS = 98_765
+"""Evaluations of a run that goes on until it is ended."""
 COUNTS = ("evaluations", "budget", "simulated", "proposals", "overlaps", "dead_ends", "successes", "cells")
 
 
 def watch(qdgrasp: Commands, *arguments: object) -> tuple[int, str, str]:
-    process = qdgrasp.start(*arguments, module=MONITOR)
-    out, err = process.communicate(timeout=PATIENCE)
-    return process.returncode, out, err
+    done = qdgrasp(*arguments, entry="monitor")
+    return done.code, done.out, done.err
 
 
 @contextmanager
-def running(qdgrasp: Commands) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+def running(qdgrasp: Commands, evaluations: int) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A run of which some rows are on disk, at an endpoint."""
     endpoint = own_endpoint()
-    budget = (*SMALL, "--evaluations", 640, "--batch-size", 10)
+    budget = (*SMALL, "--evaluations", evaluations, "--batch-size", 10)
     command = ("run", *budget, "--workers", 2, "--out", "run", "--job", "mugs")
     process = qdgrasp.start(*command, "--listen", endpoint)
     wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20 or process.poll() is not None, "rows")
     assert process.poll() is None, process.communicate()
+    wait_for(lambda: len(pids(process, "worker")) == 2, "both workers")
     yield endpoint, process
 
 
 def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands) -> None:
     with ExitStack() as stack:
-        endpoint, process = stack.enter_context(running(qdgrasp))
-        feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
-        code, out, err = watch(qdgrasp, "--once", "--json", "--connect", endpoint)
-        assert (code, err) == (0, "")
-        (job,) = parsed(out)["jobs"]
-        assert (job["job"], job["state"], len(job["workers"]), len(job["runs"])) == ("mugs", "running", 2, 1)
-        assert {*JobView.__struct_fields__} == {*job}
-        assert {*Figures.__struct_fields__} == {*job["runs"][0]}
-        assert {*JobFigures.__struct_fields__} == {*job["figures"]}
-        assert job["curves"][job["runs"][0]["run"]]["points"]
-        assert any(event["kind"] == "worker" for event in job["events"])
-        assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "run").identity != ""
-        code, out, _ = watch(qdgrasp, "--once", "--connect", endpoint)
-        assert (code, "mugs: running" in out, max(map(len, out.splitlines())) <= 80) == (0, True, True)
+        endpoint, process = stack.enter_context(running(qdgrasp, 120))
+        with held(*pids(process, "worker")):  # so that it goes on for as long as it is looked at
+            feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
+            code, out, err = watch(qdgrasp, "--once", "--json", "--connect", endpoint)
+            assert (code, err) == (0, "")
+            (job,) = parsed(out)["jobs"]
+            told = (job["job"], job["state"], len(job["workers"]), len(job["runs"]))
+            assert told == ("mugs", "running", 2, 1)
+            assert {*JobView.__struct_fields__} == {*job}
+            assert {*Figures.__struct_fields__} == {*job["runs"][0]}
+            assert {*JobFigures.__struct_fields__} == {*job["figures"]}
+            assert job["curves"][job["runs"][0]["run"]]["points"]
+            assert any(event["kind"] == "worker" for event in job["events"])
+            assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "run").identity != ""
+            code, out, _ = watch(qdgrasp, "--once", "--connect", endpoint)
+            assert (code, "mugs: running" in out, max(map(len, out.splitlines())) <= 80) == (0, True, True)
         _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, err
         wait_for(lambda: [view.state for view in feed.views()] == ["ended"], "the end")
@@ -97,7 +98,7 @@ def test_a_killed_worker_is_shown_as_gone_within_two_seconds(qdgrasp: Commands) 
         page = from_json(sample.payload, TeamFigures)
         news.put("gone" if any(one.state == "gone" for one in page.workers) else "team")
 
-    with running(qdgrasp) as (endpoint, process), ZenohBus.connect(endpoint, PATIENCE) as bus:
+    with running(qdgrasp, ENDLESS) as (endpoint, process), ZenohBus.connect(endpoint, PATIENCE) as bus:
         bus.watch(keys.worker_token(), lambda _, alive: news.put("there" if alive else "lost"))
         bus.subscribe(keys.stat("job"), lambda _: news.put("job"))
         bus.subscribe(keys.stat("team/*"), seen)
@@ -165,27 +166,26 @@ class Terminal:
         self.seen, deadline = b"", time.monotonic() + PATIENCE
         while words.encode() not in self.seen:
             assert time.monotonic() < deadline, f"it never shows {words!r}: {self.seen[-3000:]!r}"
-            self.read(0.5)
+            assert self.read(0.5), f"it ended and never showed {words!r}: {self.seen[-3000:]!r}"
 
-    def read(self, seconds: float) -> None:
+    def read(self, seconds: float) -> bool:
+        """Take what it draws; False: it has ended, and all of it was taken."""
         if select.select([self._near], [], [], seconds)[0]:
             try:
                 self.seen += os.read(self._near, 1 << 16)
-            except OSError:  # it has ended
-                return
+            except OSError:
+                return False
+        return True
 
     def press(self, keys: bytes) -> None:
         os.write(self._near, keys)
 
-    def ends(self) -> tuple[int, float]:
-        """Wait for its end; gives its exit code and how long that took [s]."""
-        began = time.monotonic()
-        while self.process.poll() is None:
-            assert time.monotonic() < began + PATIENCE
-            self.read(0.02)
-        took = time.monotonic() - began
-        self.read(0.1)
-        return self.process.returncode, took
+    def ends(self) -> int:
+        """Read what it draws until its end; gives its exit code."""
+        deadline = time.monotonic() + PATIENCE
+        while self.read(0.5):
+            assert time.monotonic() < deadline
+        return self.process.wait(PATIENCE)
 
     def close(self) -> None:
         if self.process.poll() is None:
@@ -209,8 +209,7 @@ def terminal(qdgrasp: Commands) -> Iterator[tuple[Terminal, str]]:
 def test_a_key_ends_it_and_leaves_the_terminal_as_it_was(terminal: tuple[Terminal, str]) -> None:
     shown, _ = terminal
     shown.press(b"q")
-    code, _ = shown.ends()
-    assert code == 0
+    assert shown.ends() == 0
     assert b"\x1b[?1049l" in shown.seen  # back from the other screen
     assert b"\x1b[?25h" in shown.seen  # with a cursor
 
@@ -219,11 +218,9 @@ def test_a_key_ends_it_and_leaves_the_terminal_as_it_was(terminal: tuple[Termina
 def test_a_signal_ends_it(terminal: tuple[Terminal, str], number: int) -> None:
     shown, _ = terminal
     shown.process.send_signal(number)
-    code, took = shown.ends()
-    assert code == 128 + number
+    assert shown.ends() == 128 + number
     assert b"Traceback" not in shown.seen
     assert b"\x1b[?1049l" in shown.seen
-    assert took < 5 * STOPS  # a machine may be busy; what is promised is measured in test_stopping
 
 
 def test_it_draws_for_another_size(terminal: tuple[Terminal, str]) -> None:
@@ -236,7 +233,8 @@ def test_it_draws_for_another_size(terminal: tuple[Terminal, str]) -> None:
 
 def test_a_job_is_shown_when_it_begins_and_the_router_is_missed_when_it_goes(qdgrasp: Commands) -> None:
     endpoint = own_endpoint()
-    command = ("run", *LONG, "--workers", 1, "--out", "run", "--job", "mugs", "--listen", endpoint)
+    budget = (*SMALL, "--evaluations", ENDLESS)
+    command = ("run", *budget, "--workers", 1, "--out", "run", "--job", "mugs", "--listen", endpoint)
     with ExitStack() as stack:
         router = stack.enter_context(ZenohBus.router(endpoint))
         shown = Terminal(qdgrasp, "--connect", endpoint)
@@ -245,7 +243,7 @@ def test_a_job_is_shown_when_it_begins_and_the_router_is_missed_when_it_goes(qdg
         router.close()
         shown.shows("The router is away")
         process = qdgrasp.start(*command)
-        shown.shows("320 evaluations")
+        shown.shows("98 765 evaluations")
         process.terminate()
         process.communicate(timeout=PATIENCE)
         shown.shows("The router is away")

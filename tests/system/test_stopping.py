@@ -20,12 +20,12 @@ from tests.system.commands import (
     SMALL,
     Commands,
     is_alive,
+    pids,
     processes_of,
     rows_recorded,
     says,
     wait_for,
 )
-from tests.system.test_faults import pids
 
 from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.bus import Query
@@ -128,6 +128,16 @@ def viewing(qdgrasp: Commands) -> subprocess.Popen[str]:
     return process
 
 
+def routing(qdgrasp: Commands) -> subprocess.Popen[str]:
+    """A router at which a worker waits for jobs."""
+    endpoint = own_endpoint()
+    process = qdgrasp.start("--listen", endpoint, module=ROUTER)
+    says(process, "listening")
+    worker = qdgrasp.start("--connect", endpoint, module=WORKER)
+    wait_for(lambda: _is_loaded(worker.pid), "its threads")
+    return process
+
+
 def benching(qdgrasp: Commands) -> subprocess.Popen[str]:
     process = qdgrasp.start("bench", "--workers", 1, "--seconds", 3600)
     wait_for(lambda: bool(processes_of(process.pid)), "a worker")
@@ -166,6 +176,7 @@ BEGINNINGS: dict[str, Beginning] = {
     "one look without a router": seeking("--once", "--wait", "60", module=MONITOR),
     "an order without a router": seeking("pause", "mugs"),
     "a check without a router": checking,
+    "a router with a client": routing,
     "a router without the other one": seeking("--listen", own_endpoint(), module=ROUTER),
     "a recorder without a router": seeking("--job", "mugs", "--out", "out", module=RECORDER),
     "a worker without a router": seeking(module=WORKER),
@@ -195,7 +206,7 @@ def stopped(qdgrasp: Commands, begin: Beginning, number: int) -> float:
     took = time.monotonic() - asked
     assert process.returncode == 128 + number, err
     assert "Traceback" not in err
-    assert not any(map(is_alive, started))
+    wait_for(lambda: not any(map(is_alive, started)), "the end of its processes")
     return took
 
 

@@ -10,7 +10,7 @@ from tests.endpoints import own_endpoint
 from tests.fuzz.consumers import CONSUMERS, KINDS, seeds
 from tests.fuzz.lap import corpus
 from tests.fuzz.mutator import Mutator
-from tests.system.commands import PATIENCE, SMALL, Commands, processes_of
+from tests.system.commands import LONG, PATIENCE, Commands, held, pids, processes_of, wait_for
 
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.bus import Bus
@@ -111,18 +111,19 @@ def test_a_stranger_changes_nothing_and_takes_nothing_down(
     qdgrasp: Commands, reference: tuple[Path, str, dict]
 ) -> None:
     endpoint, seen = own_endpoint(), SimpleQueue[str]()
-    running = qdgrasp.start(
-        "run", *SMALL, "--evaluations", 200, "--workers", 1, "--listen", endpoint, "--out", "run"
-    )
+    running = qdgrasp.start("run", *LONG, "--workers", 1, "--listen", endpoint, "--out", "run")
     with ZenohBus.connect(endpoint, PATIENCE) as bus:
         with bus.watch(KEYS.worker_token(), lambda key, _alive: seen.put(last_chunk(key))):
             stranger = Stranger(bus, seen.get(timeout=PATIENCE))
-        before = processes_of(running.pid)
-        sizes = {name: memory(pid) for name, pid in before.items()}
-        assert stranger.rage() > 1000
-        assert processes_of(running.pid) == before
-        for name, pid in before.items():
-            assert memory(pid) < sizes[name] + GROWTH
+        (worker,) = pids(running, "worker")
+        (simulator,) = wait_for(lambda: processes_of(worker).values(), "a simulator")
+        with held(simulator):  # so that the job does not end meanwhile
+            before = processes_of(running.pid)
+            sizes = {name: memory(pid) for name, pid in before.items()}
+            assert stranger.rage() > 1000
+            assert processes_of(running.pid) == before
+            for name, pid in before.items():
+                assert memory(pid) < sizes[name] + GROWTH
     out, said = running.communicate(timeout=PATIENCE)
     assert running.returncode == 0, said
     assert "started again" not in out + said

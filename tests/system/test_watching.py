@@ -16,7 +16,8 @@ def test_the_page_shows_a_job_from_its_beginning_to_its_end_whoever_dies(qdgrasp
     from playwright.sync_api import expect
 
     with browser.launched() as chromium:  # first: on a busy machine it takes as long as the job
-        watched = Watched(qdgrasp, "balls", *SMALL, "--method", "contact_me_scs", "--evaluations", 1500)
+        watched = Watched(qdgrasp, "balls", *SMALL, "--method", "contact_me_scs", "--evaluations", 400)
+        watched.pauses(100)  # so that it is there however long a busy machine takes to draw
         visit = browser.Visit(chromium, f"{watched.address}#job=balls")
         page = visit.page
         page.evaluate("() => (window.kept = true)")
@@ -31,13 +32,14 @@ def test_the_page_shows_a_job_from_its_beginning_to_its_end_whoever_dies(qdgrasp
         watched.kill("coordinator")
         expect(page.locator("#origin")).to_contain_text("turn 2", timeout=PATIENCE)
         before = number(figure(page, "Successes").inner_text())
+        watched.goes_on()
         page.wait_for_function(GROWN, arg=[figure(page, "Successes").element_handle(), before])
 
         watched.ends()
         expect(page.locator("#state")).to_have_text(re.compile("^ended: "), timeout=PATIENCE)
-        assert number(done.inner_text().partition(" (")[0]) == 1500_1500
+        expect(done).to_have_text(re.compile(r"^400 of 400\b"))
         info = qdgrasp.info("run")
         for name in ("Successes", "Cells", "Grasps", "Robust"):
-            assert number(figure(page, name).inner_text()) == info[name.lower()]
+            expect(figure(page, name)).to_have_text(str(info[name.lower()]))
         assert page.evaluate("() => window.kept"), "the page was loaded again"
         assert visit.complaints == []

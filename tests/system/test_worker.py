@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.patience import PATIENCE
-from tests.system.commands import LONG, Commands, is_alive, kill, processes_of, rows_recorded, wait_for
+from tests.system.commands import LONG, Commands, is_alive, kill, pids, processes_of, rows_recorded, wait_for
 
 ROUTER = """
 import sys
@@ -50,8 +50,7 @@ def simulators(worker: int) -> list[int]:
 
 
 def simulator(worker: subprocess.Popen[str]) -> int:
-    wait_for(lambda: simulators(worker.pid), "a simulator")
-    return simulators(worker.pid)[0]
+    return wait_for(lambda: simulators(worker.pid), "a simulator")[0]
 
 
 def stop(worker: subprocess.Popen[str], number: int) -> None:
@@ -61,7 +60,7 @@ def stop(worker: subprocess.Popen[str], number: int) -> None:
     _, err = worker.communicate(timeout=PATIENCE)
     assert worker.returncode == 128 + number
     assert "Traceback" not in err
-    assert not any(map(is_alive, started))
+    wait_for(lambda: not any(map(is_alive, started)), "the end of its simulator")
 
 
 STOPS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
@@ -127,12 +126,15 @@ def test_workers_of_one_command_carry_a_job_out_whatever_is_killed(qdgrasp, job,
     folder = qdgrasp.home / "run"
 
     def workers() -> list[int]:
-        return [pid for name, pid in processes_of(team.pid).items() if name.startswith("qdgrasp-worker")]
+        found = pids(team, "worker")
+        return found if len(found) == 2 else []
 
-    for rows, victims in ((20, workers), (80, lambda: simulators(workers()[0])), (140, workers)):
+    def first_simulators() -> list[int]:
+        return [pid for worker in workers()[:1] for pid in simulators(worker)]
+
+    for rows, victims in ((20, workers), (50, first_simulators), (90, workers)):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
-        wait_for(lambda: len(workers()) == 2 and victims(), "somebody to kill")  # noqa: B023
-        kill(victims()[0])
+        kill(wait_for(victims, "somebody to kill")[0])
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert qdgrasp.digest("run") == long_digest
@@ -143,7 +145,7 @@ def test_simulators_that_end_now_and_then_change_nothing(qdgrasp, job, long_dige
     process, endpoint = job
     worker = start(qdgrasp, endpoint, "--job", "run")
     folder = qdgrasp.home / "run"
-    for rows in (1, 100, 200):
+    for rows in (1, 40, 80):
         wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
         os.kill(simulator(worker), signal.SIGSEGV)
     _, err = process.communicate(timeout=PATIENCE)
