@@ -13,6 +13,7 @@ from qdgrasp_coordinator.runs.preparation import make_bundle
 from qdgrasp_coordinator.watching.progress import display
 from qdgrasp_coordinator.watching.scoring import score
 from qdgrasp_coordinator.watching.supervisor import Team
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.lifetime import lifetime
 from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import run_spec
@@ -54,7 +55,7 @@ def evaluate(
     }
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"
-        raise typer.BadParameter(f"{missing} is missing: name an npz file.")
+        raise InputError(f"{missing} is missing: name an npz file (`qdgrasp evaluate --help`).")
     named = (Path(each) for each in (gripper, object_) if each)
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()

@@ -114,7 +114,7 @@ def _found(parts: Sequence[Part]) -> Summary:
     values |= {name: _listed(one[name] for one in told) for name in ("method", "overlaps_mode")}
     values |= {
         "complete": all(one["complete"] for one in told),
-        "ended": f"merged from {len(parts)} runs",
+        "ended": f"merged from {counted(len(parts), 'run')}",
         "platform": reduce(_common, (part.source.platform for part in parts)),
         "reduced": "failures: only the successes of the merged runs are kept",
         "sources": [part.source.words for part in parts],

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from qdgrasp_coordinator.cli.main import app
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.errors import FolderError, InputError
 
 
 def refusal(*arguments: object) -> str:
@@ -15,6 +15,13 @@ def refusal(*arguments: object) -> str:
     error = CliRunner().invoke(app, asked).exception
     assert isinstance(error, FolderError)
     return str(error)
+
+
+@pytest.mark.parametrize(("given", "missing"), [((), "--poses"), (("--poses", "poses.npz"), "--out")])
+def test_files_that_are_not_named_are_asked_for(given: tuple[str, ...], missing: str) -> None:
+    error = CliRunner().invoke(app, ["evaluate", "--gripper", "panda", "--object", "mug", *given]).exception
+    assert isinstance(error, InputError)
+    assert str(error).startswith(f"{missing} is missing: name an npz file")
 
 
 @pytest.fixture

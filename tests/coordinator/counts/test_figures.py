@@ -34,6 +34,17 @@ def test_a_job_that_hardly_goes_on_has_no_time_left_in_words(rate: float) -> Non
     assert figures(rate=rate).left == "time left unknown"
 
 
+def test_a_job_that_nobody_works_at_yet_says_so_and_no_zeros() -> None:
+    waiting = figures(evaluations=0, budget=3, remaining=3, runs=1, rate=0.0, workers=0, state="running")
+    assert waiting.words == "0 of 3 evaluations, no worker yet"
+
+
+def test_one_of_a_thing_is_told_in_the_singular() -> None:
+    one = figures(evaluations=1, budget=1, runs=1, rate=1.0, workers=1, successes=1, cells=1, trials=1)
+    assert one.words.startswith("1 of 1 evaluation, 1/s, 1 success in 1 cell, ")
+    assert one.words.endswith("1 trial, 1 worker")
+
+
 def test_what_is_no_json_is_refused() -> None:
     for payload in (b"", b"\xff", b"[" * 100_000, b'{"job": 1}', b'{"rate": NaN}'):
         with pytest.raises(MessageError, match="not figures"):
