@@ -9,6 +9,7 @@ from qdgrasp_assets.gripper_faults import gripper_faults
 from qdgrasp_assets.gripper_file import GripperFile, JointTable, read_gripper_file, urdf_path
 from qdgrasp_assets.hands.meshes import missing_meshes
 from qdgrasp_assets.hands.source import read_source
+from qdgrasp_assets.hands.visuals import without_visuals
 from qdgrasp_assets.hands.weight import weight_faults
 from qdgrasp_assets.scene import FreeJoint, Joint, SceneGripper, Synergy
 from qdgrasp_assets.shapes import largest_side
@@ -33,7 +34,8 @@ class Gripper:
         Raises
         ------
         AssetError
-            A mesh is missing or no ordinary file; masses are made up, refused, or hold a link still.
+            A collision mesh is missing or no ordinary file; masses are made up, refused, or hold a link
+            still.
         """
         hand = self.robot.subtree(self.file.base_link)
         found = (*weight_faults(hand.element), *missing_meshes(hand))
@@ -46,11 +48,11 @@ class Gripper:
         Raises
         ------
         AssetError
-            A mesh is missing, empty or cannot be read.
+            A collision mesh is missing, empty or cannot be read.
         """
         file = self.file
         carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
-        element, meshes = carried.urdf.bundled()
+        element, meshes = without_visuals(carried.urdf).bundled()
         return SceneGripper(
             name=self.name,
             source=self.source,

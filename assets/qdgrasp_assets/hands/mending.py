@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 
 from qdgrasp_assets.hands.splitting import Splitter, Tell
 from qdgrasp_assets.hands.structure import edges, listed
+from qdgrasp_assets.hands.visuals import drop_visuals
 from qdgrasp_assets.hands.weighing import weigh
 from qdgrasp_assets.urdf import Urdf, tree
+from qdgrasp_protocol.phrases import counted
 
 
 @dataclass(frozen=True)
@@ -91,11 +93,7 @@ def _shapes(element: ET.Element) -> Iterator[str]:
 
 
 def _without_visuals(element: ET.Element) -> Iterator[str]:
-    """Visual shapes are left out: pictures are drawn of the others, and their meshes may be missing."""
-    left = 0
-    for link in element.findall("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
-            left += 1
+    """Visual shapes are left out: their meshes may be missing."""
+    left = drop_visuals(element)
     if left:
-        yield f"{left} visual shape{'s' * (left > 1)} left out, which no evaluation needs"
+        yield f"{counted(left, 'visual shape')} left out, which no evaluation needs"

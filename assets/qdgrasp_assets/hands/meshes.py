@@ -11,6 +11,7 @@ from qdgrasp_assets.shapes import FORMS
 from qdgrasp_assets.stl import triangles
 from qdgrasp_assets.urdf import Urdf
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.phrases import quoted
 
 LARGEST = 2.0
 """No link is so large [m]: what is larger was drawn in millimetres."""
@@ -31,9 +32,10 @@ def mesh_faults(hand: Urdf) -> tuple[str, ...]:
 
 
 def missing_meshes(hand: Urdf) -> tuple[str, ...]:
-    """The mesh files of a hand, of visual shapes too, that are not there or cannot be read, in words."""
+    """The mesh files of a hand's collision shapes that are not there or cannot be read, in words."""
     return tuple(
-        f"the mesh '{name}' of the link{'s' * (len(links) > 1)} {_quoted(links)} {_where(hand, name)}"
+        f"the mesh '{name}' of the link{'s' * (len(links) > 1)} {', '.join(quoted(links))} "
+        f"{_where(hand, name)}"
         for name, links in _references(hand).items()
         if not _can_be_read(hand, name)
     )
@@ -48,18 +50,14 @@ def _can_be_read(hand: Urdf, name: str) -> bool:
 
 
 def _references(hand: Urdf) -> dict[str, list[str]]:
-    """Mesh files with the links that use them, in the order of the file."""
+    """Mesh files with the links that touch by them, in the order of the file."""
     found: dict[str, list[str]] = {}
-    for link in hand.element.findall("link"):
-        for mesh in link.iter("mesh"):
+    for link, shape in collisions(hand):
+        for mesh in shape.iter("mesh"):
             links = found.setdefault(mesh.get("filename", ""), [])
-            if link.get("name", "") not in links:
-                links.append(link.get("name", ""))
+            if link not in links:
+                links.append(link)
     return found
-
-
-def _quoted(names: list[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names)
 
 
 def _where(hand: Urdf, name: str) -> str:

@@ -182,17 +182,31 @@ def test_a_mesh_that_the_simulator_cannot_read_is_told(jaw_toml, jaw_urdf, edit,
     assert sentence in faults(jaw_toml)[0]
 
 
+def shape(tag, name):
+    """A shape of a link, and its end."""
+    return f'<{tag}><geometry><mesh filename="{name}"/></geometry></{tag}></link>'
+
+
 @pytest.mark.parametrize("name", [*PLACES, "x" * 300 + ".stl"])
-@pytest.mark.parametrize("tag", ["collision", "visual"])
-def test_a_mesh_that_is_no_ordinary_file_is_told_by_a_check_and_a_run(jaw_toml, jaw_urdf, edit, name, tag):
+def test_a_mesh_that_is_no_ordinary_file_is_told_by_a_check_and_a_run(jaw_toml, jaw_urdf, edit, name):
     make_places(jaw_urdf.parent)
-    mesh = f'<{tag}><geometry><mesh filename="{name}"/></geometry></{tag}></link>'
-    edit(jaw_urdf, "</link>", mesh)
+    edit(jaw_urdf, "</link>", shape("collision", name))
     (fault,) = faults(jaw_toml)
     assert f" {PLACES.get(name, 'cannot be looked at (File name too long)')}: there should be a mesh" in fault
     with pytest.raises(AssetError) as error:
         build_scene(RunSpec(gripper=str(jaw_toml), object="mug"))
     assert fault in str(error.value)
+
+
+@pytest.mark.parametrize("name", [*PLACES, "package://jaw/pad.dae"])
+def test_a_visual_mesh_is_neither_missed_nor_read_by_a_check_or_a_run(jaw_toml, jaw_urdf, edit, name):
+    hand = build_scene(RunSpec(gripper=str(jaw_toml), object="mug")).gripper
+    make_places(jaw_urdf.parent)
+    edit(jaw_urdf, "</link>", shape("visual", name))
+    found = examine(jaw_toml, "jaw")
+    assert (found.faults, found.notes) == ((), ())
+    assert examine_urdf(jaw_urdf, "jaw")[0].faults == ()
+    assert build_scene(RunSpec(gripper=str(jaw_toml), object="mug")).gripper == hand
 
 
 def test_a_hollow_mesh_is_noted(jaw_toml, jaw_urdf, edit):
