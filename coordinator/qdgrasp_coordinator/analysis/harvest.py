@@ -20,6 +20,7 @@ from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_protocol.phrases import quoted
 from qdgrasp_protocol.rows import Rows
 
 Sets = dict[str, ReferenceSet]
@@ -174,4 +175,4 @@ def _write(out: OutFile, sets: Sets) -> None:
 
 
 def _listed(names: Iterable[str]) -> str:
-    return " and ".join(f"'{name}'" for name in sorted(names))
+    return " and ".join(quoted(sorted(names)))
