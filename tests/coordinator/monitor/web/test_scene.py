@@ -149,6 +149,13 @@ def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
     expect(page.locator("#grasp")).to_contain_text("no shake survived")
 
 
+def test_thousands_are_written_in_one_way(page: Page, records: HandMadeRecords) -> None:
+    many = [(column, row, 20) for column in range(30) for row in range(40)]
+    records.record(finds(range(20, 1220), many, [Outcome.HELD] * 1200))
+    expect(page.locator("#scene-words")).to_have_text(re.compile("^1\u202f204 cells of 1 cm"))
+    expect(page.locator("#scene-key li b").last).to_have_text("1\u202f202")
+
+
 def test_kinds_may_be_left_out(page: Page) -> None:
     expect(page.locator("#scene-words")).to_have_text("4 cells of 1 cm")
     page.get_by_role("button", name="both survived").click()
@@ -212,7 +219,7 @@ def test_pages_that_come_by_and_by_leave_what_one_would(alone: Page, records: Ha
 def test_a_journal_that_fell_back_is_shown_anew(alone: Page, records: HandMadeRecords) -> None:
     records.found, records.rows = FEW[:0], 0
     records.record(finds([2], [(0, 0, 9)], [Outcome.SHAKEN]))
-    alone.wait_for_function("() => window.words === '1 cells of 1 cm'")
+    alone.wait_for_function("() => window.words === '1 cell of 1 cm'")
     assert alone.evaluate(CONTENT) == {"2": [0, 0, 9, 1]}
 
 

@@ -71,6 +71,9 @@ def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(
         f"qdgrasp render {runs[1].path} --grasp {number} -o grasp.png",
     ]
     expect(page.locator("#grasp .replay code")).to_have_text(commands)
+    flags = page.locator("#grasp .replay .flag")
+    expect(flags).to_have_text(["--grasp ", "--grasp ", "-o "])
+    assert flags.evaluate_all("flags => flags.map((flag) => flag.getClientRects().length)") == [1, 1, 1]
 
 
 def test_a_run_alone_needs_no_list(look: Look, runs: list[RunFolder]) -> None:

@@ -8,6 +8,7 @@ import { Pointer } from "./scene/pointer.js";
 import { Source } from "./scene/source.js";
 import { Stage } from "./scene/stage.js";
 import { CELL } from "./scene/voxels.js";
+import { count, several } from "./words.js";
 
 const TRY = 5000; // ms until what is not there is asked for again
 const CUT_OPEN = 600; // cells: of more, those toward the viewer's right are left out at first
@@ -183,9 +184,8 @@ export class SceneView {
 
   #tell() {
     const { size, shown } = this.cells;
-    const words = (number) => number.toLocaleString("en");
     const open = this.cut ? ", cut open" : "";
-    this.onstatus(size ? `${shown === size ? "" : `${words(shown)} of `}${words(size)} cells of 1 cm${open}` : "Nothing found yet.");
+    this.onstatus(size ? `${shown === size ? "" : `${count(shown)} of `}${several(size, "cell")} of 1 cm${open}` : "Nothing found yet.");
     this.onchange();
     this.#animate();
   }
