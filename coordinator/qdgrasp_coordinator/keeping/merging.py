@@ -27,6 +27,7 @@ from qdgrasp_coordinator.keeping.parts import Part, parts_of
 from qdgrasp_coordinator.keeping.reduction import rows_of, shape_of, write
 from qdgrasp_coordinator.searches.search import method
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.spec import RunSpec, to_toml
 from qdgrasp_protocol.trials import trials
 
