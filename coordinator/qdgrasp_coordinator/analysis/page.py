@@ -12,6 +12,7 @@ from qdgrasp_protocol.phrases import counted, few
 
 NAMED = 10
 """So many runs of a kind are named."""
+CLAIMS = "## What the paper claims"
 MARK = " \\*"
 """Of what few runs are behind."""
 CAPTIONS = {
@@ -68,7 +69,7 @@ def page(
         f"# {name}\n",
         _overview(entries),
         *([f"{left_out(without_curves)}\n"] if without_curves else []),
-        "## What the paper claims\n",
+        f"{CLAIMS}\n",
         _claims(claims),
         *(_figure(figure, missing) for figure, missing in figures.items()),
         "## Methods\n",

@@ -8,7 +8,7 @@
 * `runs.csv`, `methods.csv`, `claims.csv`, and `tables.md` with all of it in words
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from qdgrasp_coordinator.analysis.curve_figures import draw_curves, draw_matrix
 from qdgrasp_coordinator.analysis.entries import Entry, entries, histories, run_folders
 from qdgrasp_coordinator.analysis.history import has_curves
 from qdgrasp_coordinator.analysis.nu_figure import draw_nu, leans
-from qdgrasp_coordinator.analysis.page import page
+from qdgrasp_coordinator.analysis.page import CAPTIONS, CLAIMS, page
 from qdgrasp_coordinator.analysis.palette import family_of
 from qdgrasp_coordinator.analysis.panels import Panel, panels
 from qdgrasp_coordinator.analysis.pooled import pooled
@@ -34,10 +34,12 @@ from qdgrasp_coordinator.analysis.tables import (
 )
 from qdgrasp_coordinator.analysis.target import Targets
 from qdgrasp_coordinator.analysis.voxel_figure import draw_voxels, drawn_method, voxels
+from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.outputs import SharedFolder
 from qdgrasp_protocol.errors import FolderError, UnknownName
 
 OUT = "analysis"
+PAGE = "tables.md"
 SUFFIXES = (".png", ".svg", ".csv")
 
 
@@ -79,7 +81,7 @@ def report(
     path
         A campaign's folder, a folder of run folders, or one run's folder.
     out
-        The folder that is written to; made where there is none.
+        The folder that is written to: a new one, an empty one, or that of an earlier analysis.
     references
         Reference sets that are looked at before the published ones on the asset path.
     method
@@ -95,7 +97,7 @@ def report(
     UnknownName
         No run is of this method; those that there are are named.
     """
-    folder = SharedFolder(out)
+    folder = SharedFolder(out, is_kind=is_ours)
     folder.check()
     there = run_folders(path)
     folders = [folder for folder in there if has_curves(folder)]
@@ -110,13 +112,14 @@ def report(
     if method is not None and method not in methods:
         raise UnknownName("method in this campaign", method, methods)
     claims = judged(begun)
+    earlier = _drawn(out)
     with folder.filling() as made:
         figures = _draw(begun, made, method, log)
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
             _write(made / f"{name}.csv", csv_text(rows))
-        _write(made / "tables.md", page(path.absolute().name, arms, claims, figures, without_curves))
-    _remove_old(out, figures)
+        _write(made / PAGE, page(path.absolute().name, arms, claims, figures, without_curves))
+    _remove_old(out, earlier, figures)
     return Report(out, arms, claims, figures, without_curves)
 
 
@@ -169,8 +172,24 @@ def _write(file: Path, text: str) -> None:
     file.write_text(text, encoding="utf-8")
 
 
-def _remove_old(out: Path, figures: Mapping[str, str]) -> None:
+def is_ours(folder: Path) -> bool:
+    """Whether a folder is that of an earlier analysis."""
+    return f"\n{CLAIMS}\n" in _earlier(folder)
+
+
+def _drawn(out: Path) -> list[str]:
+    """The figures that an earlier analysis put into its folder."""
+    return [name for name in CAPTIONS if f"({name}.png)" in _earlier(out)]
+
+
+def _earlier(folder: Path) -> str:
+    """The page of an earlier analysis; empty where there is none."""
+    page = folder / PAGE
+    return page.read_text(encoding="utf-8", errors="replace") if disk.is_file(page) else ""
+
+
+def _remove_old(out: Path, earlier: Iterable[str], figures: Mapping[str, str]) -> None:
     """Remove the figures of an earlier analysis that were left out of this one."""
-    for name, why in figures.items():
-        for suffix in SUFFIXES if why else ():
+    for name in earlier:
+        for suffix in SUFFIXES if figures[name] else ():
             (out / name).with_suffix(suffix).unlink(missing_ok=True)

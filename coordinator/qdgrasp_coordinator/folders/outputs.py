@@ -131,9 +131,9 @@ class OutFolder(Whole):
         what = _what(self.path)
         if what not in ("", FOLDER):
             raise self._refused(f"is {what}, where {FOLDER} is to be written")
-        names = sorted(each.name for each in self.path.iterdir()) if what else []
+        names = _names(self.path)
         if names and not self.is_kind(self.path):
-            raise self._refused(f"holds other files ({few(names, SHOWN)})")
+            raise self._refused(_others(names))
         if names and not self.force:
             raise OutputError(self.path, "is there already", self.instead, forces=self.force is not None)
 
@@ -141,6 +141,9 @@ class OutFolder(Whole):
 @dataclass(frozen=True)
 class SharedFolder(Output):
     """A folder that files are put into, beside those that are there."""
+
+    is_kind: Callable[[Path], bool] = lambda _: True
+    """Whether files may be put into a folder that is there and not empty."""
 
     def file(self, name: str) -> OutFile:
         """A file in it, in the place of an earlier one of the name."""
@@ -169,6 +172,18 @@ class SharedFolder(Output):
         what = _what(self.path)
         if what and not self.path.is_dir():
             raise self._refused(f"is {what}, where {FOLDER} is to be written")
+        names = _names(self.path)
+        if names and not self.is_kind(self.path):
+            raise self._refused(_others(names))
+
+
+def _names(folder: Path) -> list[str]:
+    """What is in a folder; nothing, where none is."""
+    return sorted(each.name for each in folder.iterdir()) if folder.is_dir() else []
+
+
+def _others(names: list[str]) -> str:
+    return f"holds other files ({few(names, SHOWN)})"
 
 
 def _what(path: Path) -> str:

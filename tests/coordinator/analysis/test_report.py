@@ -16,7 +16,7 @@ from qdgrasp_coordinator.campaigns.summary import summary
 from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.keeping.pruning import prune
-from qdgrasp_protocol.errors import FolderError, UnknownName
+from qdgrasp_protocol.errors import FolderError, OutputError, UnknownName
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.trials import TRIALS
 
@@ -120,12 +120,40 @@ def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
     rows = random_rows(30)
     rows["outcome"] = Outcome.MISSED
     record(tmp_path / "runs/a", make_scene(), rows, method="contact_rand", evaluations=30)
-    (tmp_path / "analysis").mkdir()
-    (tmp_path / "analysis/nu.png").touch()
+    earlier = tmp_path / "analysis"
+    earlier.mkdir()
+    (earlier / "tables.md").write_text("# a\n\n## What the paper claims\n\n![nu](nu.png)\n")
+    for name in ("nu.png", "nu.csv", "voxels.csv"):
+        (earlier / name).touch()
     found = analysed(tmp_path)
     assert set(found.left_out) == {"hands", "priors", "nu", "voxels"}
     assert sorted(file.name for file in found.out.glob("*.png")) == ["coverage.png"]
+    assert not (earlier / "nu.csv").exists()
+    assert (earlier / "voxels.csv").exists(), "no earlier analysis says that it drew it"
     assert "Not drawn: nothing was found." in (found.out / "tables.md").read_text()
+
+
+def test_what_an_analysis_wrote_is_what_the_next_one_replaces(
+    campaign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = analysed(campaign).out
+    (first / "notes").write_text("mine")
+    monkeypatch.setattr("qdgrasp_coordinator.analysis.report.voxels", lambda *_: [])
+    assert "voxels" in analysed(campaign).left_out
+    assert not [*first.glob("voxels.*")]
+    assert (first / "notes").read_text() == "mine"
+
+
+def test_a_folder_with_files_of_others_is_left_as_it_is(campaign: Path) -> None:
+    mine = campaign / "mine"
+    mine.mkdir()
+    for name in ("hands.csv", "runs.csv", "tables.md"):
+        (mine / name).write_text("mine")
+    with pytest.raises(OutputError, match=r"holds other files \(hands.csv, runs.csv, tables.md\)"):
+        report(campaign, mine)
+    assert {file.read_text() for file in mine.iterdir()} == {"mine"}
+    with pytest.raises(OutputError, match="holds other files"):
+        report(campaign, campaign / "runs/jaw-block-contact_me_scs-s0")
 
 
 def test_cells_of_robust_runs_have_an_eta(tmp_path: Path, make_scene: SceneMaker) -> None:

@@ -265,6 +265,15 @@ def test_none_is_put_into_a_shared_folder_where_one_is_in_the_place_of_something
     assert there(tmp_path) == ["two"]
 
 
+def test_a_shared_folder_of_another_kind_is_left_alone(tmp_path: Path) -> None:
+    folder = SharedFolder(tmp_path, is_kind=lambda path: (path / "mark").exists())
+    folder.check()
+    (tmp_path / "other").touch()
+    assert refused(folder) == f"{tmp_path} holds other files (other); {ADVICE}."
+    (tmp_path / "mark").touch()
+    folder.check()
+
+
 def test_a_shared_folder_is_no_file_and_may_be_a_link(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "link").symlink_to(tmp_path)
