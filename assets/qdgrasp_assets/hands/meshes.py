@@ -1,6 +1,7 @@
 """The collision shapes of a hand: whether the simulator can take them, in words."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -11,7 +12,7 @@ from qdgrasp_assets.shapes import FORMS
 from qdgrasp_assets.stl import triangles
 from qdgrasp_assets.urdf import Urdf
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.phrases import quoted
+from qdgrasp_protocol.phrases import few, quoted
 
 LARGEST = 2.0
 """No link is so large [m]: what is larger was drawn in millimetres."""
@@ -21,6 +22,8 @@ COUNTS = {"box": 3, "cylinder": 2, "sphere": 1}
 PACKAGE = "package://"
 TAKEN = (".stl", ".obj", ".dae")
 """Mesh files that the simulator reads."""
+MOST_NAMED = 3
+"""So many meshes of a kind are named."""
 
 
 def mesh_faults(hand: Urdf) -> tuple[str, ...]:
@@ -28,7 +31,27 @@ def mesh_faults(hand: Urdf) -> tuple[str, ...]:
     missing = missing_meshes(hand)
     if missing:
         return missing
-    return tuple(fault for link, shape in collisions(hand) if (fault := _fault(hand, link, shape)))
+    faults = (_fault(hand, link, shape) for link, shape in collisions(hand))
+    return (*_kind_faults(hand), *(fault for fault in faults if fault))
+
+
+def _kind_faults(hand: Urdf) -> Iterator[str]:
+    """Mesh files of kinds that the simulator does not read, one sentence for each kind."""
+    kinds: dict[str, list[str]] = {}
+    for name in _references(hand):
+        kinds.setdefault(_kind(name), []).append(name)
+    for kind in sorted(kinds.keys() - TAKEN):
+        them, is_one = few(quoted(kinds[kind]), MOST_NAMED), len(kinds[kind]) == 1
+        told = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
+        yield (
+            f"{told} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
+            f"{', '.join(TAKEN)}: save {'it as one' if is_one else 'them as such'}, or use --mend"
+        )
+
+
+def _kind(name: str) -> str:
+    """The ending of a mesh file's name, with its dot."""
+    return PurePosixPath(name).suffix.lower()
 
 
 def missing_meshes(hand: Urdf) -> tuple[str, ...]:
@@ -105,14 +128,10 @@ def _size_fault(link: str, form: ET.Element) -> str:
 
 
 def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
-    kind = PurePosixPath(name).suffix.lower()
     mesh = f"the mesh '{name}' of the link '{link}'"
-    if kind not in TAKEN:
-        return (
-            f"{mesh} is a {kind} file, and the simulator reads {', '.join(TAKEN)}: save it as one, or use "
-            "--mend"
-        )
-    if kind == ".stl" and triangles(mesh_bytes(hand.path, name)) is None:
+    if _kind(name) not in TAKEN:
+        return ""  # told of all such meshes at once
+    if _kind(name) == ".stl" and triangles(mesh_bytes(hand.path, name)) is None:
         return f"{mesh} is no binary STL file, which alone the simulator reads: save it as one, or use --mend"
     try:
         corners = np.concatenate([np.zeros((0, 3)), *corners_of(hand, link, shape)])

@@ -198,6 +198,19 @@ def test_a_mesh_that_is_no_ordinary_file_is_told_by_a_check_and_a_run(jaw_toml, 
     assert fault in str(error.value)
 
 
+def test_meshes_of_a_kind_that_the_simulator_does_not_read_are_told_in_one_line(jaw_toml, jaw_urdf, edit):
+    names = [f"pad{number}.glb" for number in range(13)]
+    for name in names:
+        (jaw_urdf.parent / name).write_bytes(b"glTF")
+    shapes = "".join(shape("collision", name).removesuffix("</link>") for name in names)
+    edit(jaw_urdf, '<link name="left">', f'<link name="left">{shapes}')
+    (fault,) = faults(jaw_toml)
+    assert fault == (
+        "the meshes 'pad0.glb', 'pad1.glb', 'pad2.glb' and 10 more are .glb files, and the simulator reads "
+        ".stl, .obj, .dae: save them as such, or use --mend"
+    )
+
+
 @pytest.mark.parametrize("name", [*PLACES, "package://jaw/pad.dae"])
 def test_a_visual_mesh_is_neither_missed_nor_read_by_a_check_or_a_run(jaw_toml, jaw_urdf, edit, name):
     hand = build_scene(RunSpec(gripper=str(jaw_toml), object="mug")).gripper
