@@ -47,7 +47,7 @@ def test_prepared_rows_are_of_every_kind_that_random_poses_are_of() -> None:
 def test_a_coordinator_is_watched_while_stand_ins_answer(seconds: float) -> None:
     runs = [assignment("run", spec("contact_rand", 4 * BATCH), Prepared(4 * BATCH), 2)]
     with router() as (endpoint, pid), crowds([Crowd(endpoint, JOB, 2, seconds=seconds)]) as crew:
-        watch = Watch(crew, runs, 0.0, 0.3)
+        watch = Watch(crew, runs, 0.0, 1.0)
         memory: list[int] = []
         watch.at_join = lambda: memory.append(resident(pid))
         coordinate(endpoint, runs, lambda _: lambda run: Unkept(run.shape), watch, BATCH)
@@ -61,7 +61,7 @@ def test_a_coordinator_is_watched_while_stand_ins_answer(seconds: float) -> None
 def test_a_coordinator_is_compared_with_itself_beside_monitors() -> None:
     endpoint = own_endpoint()
     with monitors(endpoint, 2, stopped=1) as company:
-        (pair,) = take_turns(lambda: Timed.router(endpoint), endpoint, company, 1, 0.5)
+        (pair,) = take_turns(lambda: Timed.router(endpoint), endpoint, company, 1, 1.5)
     assert pair.alone.per_batch > 0
     assert pair.beside.shown > 0
     figures = list(compared([pair], "them"))

@@ -11,31 +11,33 @@ from tests.patience import PATIENCE
 DEAF = """
 import ctypes, signal
 import typer
-from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol import command as commands
 app = typer.Typer()
+commands.PATIENCE = 0.3
 @app.command()
 def command() -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     print("ready", flush=True)
     ctypes.CDLL(None).sleep(3600)
-run_command(app, "deaf")
+commands.run_command(app, "deaf")
 """
 LIVING = """
 import time
 import typer
-from qdgrasp_protocol.command import run_command
+from qdgrasp_protocol import command as commands
 from qdgrasp_protocol.lifetime import lifetime
 app = typer.Typer()
+commands.PATIENCE = 0.3
 @app.command()
 def command() -> None:
     with lifetime("living") as stop:
         print("ready", flush=True)
         while not stop.is_set:
             time.sleep(0.01)
-        time.sleep(3)
+        time.sleep(1.0)
         print("done", flush=True)
     raise typer.Exit(stop.exit_code)
-run_command(app, "living")
+commands.run_command(app, "living")
 """
 
 

@@ -14,7 +14,7 @@ from qdgrasp_protocol.rows import RESULT
 from qdgrasp_worker.evaluate import Evaluator
 
 HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
-QUICK = {"panda": 400, "robotiq_2f": 300, "barrett": 60, "allegro": 60, "shadow": 60}
+QUICK = {"panda": 200, "robotiq_2f": 300, "barrett": 40, "allegro": 40, "shadow": 40}
 OBJECTS = ("rubiks_cube", "mug", "power_drill")
 BATCH = 100
 

@@ -1,6 +1,7 @@
 """The feed: from the bus into the model, at nobody's cost."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -47,11 +48,11 @@ def say(bus: Bus, key: str, struct: object) -> None:
 
 def until(feed: Feed, holds: Callable[[list[JobView]], bool]) -> list[JobView]:
     """Wait for news until the views are so."""
-    for _ in range(200):
-        if holds(found := feed.views()):
-            return found
-        feed.wait(PATIENCE / 200)
-    raise AssertionError(f"never so: {feed.views()}")
+    deadline = time.monotonic() + PATIENCE
+    while not holds(found := feed.views()):
+        assert time.monotonic() < deadline, f"never so: {found}"
+        feed.wait(0.05)
+    return found
 
 
 def is_whole(views: list[JobView]) -> bool:

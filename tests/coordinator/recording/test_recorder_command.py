@@ -71,19 +71,23 @@ def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(
     endpoint: str, router: ZenohBus, folder: RunFolder
 ) -> None:
     coordinator, rows = Coordinator(router), make_rows(12_000)
-    with recorder(endpoint, folder.path, "--disk-wait", "3") as process:
+    with recorder(endpoint, folder.path, "--disk-wait", str(PATIENCE)) as process:
         coordinator.open()
         coordinator.send(rows, 0, 1000)
         coordinator.hears_durable(1000)
-        room = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (400_000, room[1]))
+        limit, most = 400_000, resource.prlimit(process.pid, resource.RLIMIT_FSIZE)[1]
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, most))
         for first in range(1000, 6000, 1000):
             coordinator.send(rows, first, first + 1000)
         durable = coordinator.hears(lambda report: bool(report.trouble)).durable
         assert 1000 <= durable < 6000
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, room)
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (most, most))
         coordinator.hears_durable(6000)
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (400_000, room[1]))
+        process.terminate()
+        assert process.wait(PATIENCE) == 143
+    with recorder(endpoint, folder.path, "--disk-wait", "0.5") as process:
+        assert coordinator.open().durable == [6000]
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, most))
         for first in range(6000, 12_000, 1000):
             coordinator.send(rows, first, first + 1000)
         durable = coordinator.hears(lambda report: bool(report.trouble)).durable

@@ -102,7 +102,7 @@ def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(
 
 def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured: str, folder: Path) -> None:
     links = SimpleQueue[bool]()
-    issued = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=3)
+    issued = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=5)
     ours = SecurityFolder(folder).authority
     with (
         stranger(ours, Role.WORKER.common_name, now=issued) as shown,
