@@ -13,6 +13,7 @@ from qdgrasp_coordinator.exchange.importing import read_grasps as read_file
 from qdgrasp_coordinator.exchange.taking import read_grasps
 from qdgrasp_coordinator.exchange.things import hand_of, thing_of
 from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp_coordinator.folders.outputs import OutFile
 from qdgrasp_protocol.outcome import Outcome
 from qdgrasp_protocol.rows import RESULT, Rows
 
@@ -29,7 +30,7 @@ def there_and_back(run: RunFolder, name: str, path: Path, **settings: str) -> np
     file = out / "grasp_data" / "rubiks_cube.json" if out.is_dir() else out
     found = read_file(file, hand_of(run.spec.gripper), thing_of(run.spec.object))
     assert found.notes == ()
-    found.write(path / "poses.npz")
+    found.write(OutFile(path / "poses.npz", force=True))
     return read_poses(path / "poses.npz").genomes(run.scene())
 
 
