@@ -11,6 +11,7 @@ from qdgrasp_assets.findings import Findings
 from qdgrasp_assets.gaps import apart
 from qdgrasp_assets.mesh import Floats, Mesh
 from qdgrasp_assets.room import Room
+from qdgrasp_assets.scans import size
 from qdgrasp_assets.scene import Vector
 from qdgrasp_assets.solid import Draft
 from qdgrasp_assets.solidity import Edges, body_volumes
@@ -83,14 +84,13 @@ class Inspection(Findings, frozen=True, kw_only=True):
     @property
     def facts(self) -> tuple[str, ...]:
         """The most of it, in a few words each."""
-        size = f"{_size(self.extents)} m"
         volume = () if self.volume is None else (f"{self.volume * 1e6:.2f} cm3",)
         repairs = (f"repaired: {'; '.join(self.repairs)}",) if self.repairs else ()
-        return (size, counted(self.triangles, "triangle"), *volume, *repairs)
+        return (f"{size(self.extents)} m", counted(self.triangles, "triangle"), *volume, *repairs)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         yield "object", self.name
-        yield "size", f"{_size(self.extents)} m" + ("" if self.scale == 1 else f" ({in_words(self.scale)})")
+        yield "size", f"{size(self.extents)} m" + ("" if self.scale == 1 else f" ({in_words(self.scale)})")
         yield "surface", f"{counted(self.triangles, 'triangle')}, {'closed' if self.closed else 'NOT closed'}"
         yield "bodies", f"{self.bodies}" + (f", with {self.hollows} hollow within" if self.hollows else "")
         if self.volume is not None and self.centre_of_mass is not None:
@@ -222,10 +222,6 @@ def _of_mass(volume: float, density: float | None) -> Iterator[str]:
 def _plain(values: Floats) -> Floats:
     """The same with zeros for what is rounding beside the largest."""
     return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
-
-
-def _size(extents: Vector) -> str:
-    return " x ".join(f"{side:.4f}" for side in extents)
 
 
 def _numbers(values: Vector) -> str:

@@ -1,6 +1,7 @@
 """The scans that can be fetched: where each lies, what it must measure, and how its mesh is put right."""
 
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -80,8 +81,8 @@ def differences(mesh: Mesh, scan: Scan) -> tuple[str, ...]:
     return tuple(found)
 
 
-def size(extents: Floats) -> str:
-    """(3,) [m] in words."""
+def size(extents: Iterable[float]) -> str:
+    """Three lengths in words, without their unit."""
     return " x ".join(f"{side:.4f}" for side in extents)
 
 
