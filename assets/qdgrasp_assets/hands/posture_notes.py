@@ -1,6 +1,7 @@
 """What is worth a thought in a gripper's file: it can be used, and something in it is unlikely."""
 
 from collections.abc import Iterator
+from itertools import combinations, product
 
 import numpy as np
 
@@ -8,13 +9,26 @@ from qdgrasp_assets.gripper_file import GripperFile
 from qdgrasp_assets.hands import palm
 from qdgrasp_assets.hands.body import Body
 from qdgrasp_assets.hands.motors import CLOSING_TIME
-from qdgrasp_assets.hands.postures import AWAY, BESIDE, Postures, angle, deep_pairs, is_always_deep
-from qdgrasp_protocol.phrases import plain
+from qdgrasp_assets.hands.postures import (
+    AWAY,
+    BESIDE,
+    DEEP,
+    Postures,
+    angle,
+    deep_pairs,
+    depth_at,
+    is_always_deep,
+)
+from qdgrasp_protocol.phrases import counted, plain
 
 OFF = np.radians(35.0)
 """An approach axis that is so far from where the fingers close is noted [rad]."""
 PALM_OFF, FAR, JAW_OFF = 0.03, 0.02, 0.015
 """How far palm_offset, the stand-off and the jaw's opening may be from what the shapes say [m]."""
+CROSSED = 5e-3
+"""Finger links that end so deep in each other have gone through each other [m]."""
+COURSE = np.linspace(0.0, 1.0, 21)
+"""The shares of the way at which it is looked where they meet."""
 SLOW = 1.05
 """A joint closes in time if it needs this share of the time, or less."""
 
@@ -22,7 +36,18 @@ SLOW = 1.05
 def posture_notes(file: GripperFile, body: Body) -> tuple[str, ...]:
     """What is worth a thought."""
     hand = Postures(file, body)
-    notes = (_shapeless, _inclined, _beside, _palm, _standoff, _jaw, _slow, _driven_genes, _linkage)
+    notes = (
+        _shapeless,
+        _inclined,
+        _beside,
+        _palm,
+        _standoff,
+        _jaw,
+        _crossing,
+        _slow,
+        _driven_genes,
+        _linkage,
+    )
     return tuple(words for note in notes for words in note(hand))
 
 
@@ -91,6 +116,31 @@ def _jaw(hand: Postures) -> Iterator[str]:
         yield f"jaw.axis is [{plain(jaw.axis)}], and the fingers oppose each other along [{axis}]"
     elif abs(room - jaw.opening) > JAW_OFF:
         yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {room:.4g} m"
+
+
+def _crossing(hand: Postures) -> Iterator[str]:
+    """Fingers that close through each other."""
+    found = sorted(_crossed(hand), reverse=True)
+    if not found:
+        return
+    (deep, one, other), others = found[0], len(found) - 1
+    meets = next(share for share in COURSE if depth_at(hand, one, other, share) >= DEEP)
+    more = f" (and {counted(others, 'other pair')} of links)" if others else ""
+    yield (
+        f"the fingers close through each other: '{one}' and '{other}', which are apart when open, meet at "
+        f"{100 * meets:.0f} % of the way and end {1000 * deep:.0f} mm in each other{more}; the simulator "
+        "lets them, so that they may hold thin objects as no real hand can: close them less far"
+    )
+
+
+def _crossed(hand: Postures) -> Iterator[tuple[float, str, str]]:
+    """How deep finger links of different fingers are in each other when closed [m], which open are apart."""
+    touching = set(hand.file.finger_links)
+    for finger, another in combinations(hand.closing.fingers, 2):
+        for one, other in product(finger.links, another.links):
+            deep = depth_at(hand, one, other, 1.0) if {one, other} <= touching else 0.0
+            if deep >= CROSSED and depth_at(hand, one, other, 0.0) < DEEP:
+                yield deep, one, other
 
 
 def _slow(hand: Postures) -> Iterator[str]:

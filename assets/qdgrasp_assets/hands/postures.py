@@ -99,7 +99,7 @@ def _open_overlaps(hand: Postures) -> Iterator[str]:
 
 def is_always_deep(hand: Postures, one: str, other: str) -> bool:
     """Whether two links are deep in each other all the way, as those of one linkage are."""
-    return min(_depth(hand, one, other, share) for share in (0.25, 0.5, 0.75, 1.0)) >= DEEP
+    return min(depth_at(hand, one, other, share) for share in (0.25, 0.5, 0.75, 1.0)) >= DEEP
 
 
 def deep_pairs(hand: Postures, share: float) -> Iterator[tuple[str, str, float]]:
@@ -109,12 +109,13 @@ def deep_pairs(hand: Postures, share: float) -> Iterator[tuple[str, str, float]]
     for one, other in combinations(hand.body.parts, 2):
         first, second = mounts[one], mounts[other]
         are_near = first == second or arms.get(first) == second or arms.get(second) == first
-        deep = 0.0 if are_near else _depth(hand, one, other, share)
+        deep = 0.0 if are_near else depth_at(hand, one, other, share)
         if deep > DEEP:
             yield one, other, deep
 
 
-def _depth(hand: Postures, one: str, other: str, share: float) -> float:
+def depth_at(hand: Postures, one: str, other: str, share: float) -> float:
+    """How deep two links are in each other at a share of the way [m]."""
     placed = hand.body.placed(hand.posture(share), (one, other))
     return depth(placed[one], placed[other])
 

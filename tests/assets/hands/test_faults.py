@@ -1,5 +1,6 @@
 """Everything that can be wrong with a hand's URDF or file is told in words, and all of it at once."""
 
+import numpy as np
 import pytest
 import trimesh
 from tests.assets.hands import arched, jaw
@@ -247,6 +248,36 @@ def test_what_is_worth_a_thought_is_noted(jaw_toml, edit, old, new, sentence):
     found = examine(jaw_toml, "jaw")
     assert found.faults == ()
     assert any(sentence in note for note in found.notes)
+
+
+def wide(urdf, toml, edit, closed):
+    """Let the jaw go past its middle."""
+    edit(urdf, 'lower="-0.04"', 'lower="-0.06"')
+    edit(toml, "closed = -0.04", f"closed = {closed}")
+
+
+def crossing(toml):
+    found = examine(toml, "jaw")
+    assert found.faults == ()
+    return [note for note in found.notes if "close through each other" in note]
+
+
+def test_fingers_that_close_through_each_other_are_noted_with_where_they_meet(jaw_toml, jaw_urdf, edit):
+    wide(jaw_urdf, jaw_toml, edit, -0.045)
+    (note,) = crossing(jaw_toml)
+    assert "'left' and 'right', which are apart when open, meet at 95 % of the way and end 10 mm in" in note
+
+
+def test_fingers_that_touch_when_closed_do_not_close_through_each_other(jaw_toml, jaw_urdf, edit):
+    wide(jaw_urdf, jaw_toml, edit, -0.0415)
+    assert crossing(jaw_toml) == []
+
+
+@pytest.mark.parametrize(("degrees", "is_away"), [(99, False), (101, True), (120, True)])
+def test_an_axis_that_points_away_from_the_fingers_is_told(jaw_toml, edit, degrees, is_away):
+    x, z = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+    edit(jaw_toml, "[0, 0, 1]", f"[{x:.6f}, 0, {z:.6f}]")
+    assert any("approach_axis points away" in fault for fault in faults(jaw_toml)) == is_away
 
 
 def test_fingers_that_close_beside_the_line_of_approach_are_noted(jaw_toml, jaw_urdf, edit):
