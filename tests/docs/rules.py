@@ -66,8 +66,9 @@ DEFAULTS: tuple[tuple[str, str, str], ...] = (
     (r"qdgrasp (jobs|pause|continue|drain|cancel)\b(?!.*--connect)", "--connect", "{tcp}"),
     (r"qdgrasp-(monitor|worker)\b(?!.*--connect)", "--connect", "{tcp}"),
     (r"qdgrasp view (?!.*--no-open)", "--no-open", ""),
+    (r"qdgrasp render (?!.*--size)", "--size", "320x240"),
 )
-"""What is added to lines that a pattern matches: a budget, an endpoint that no other test uses."""
+"""What is added to lines that a pattern matches: a budget, an endpoint of its own, a small size."""
 
 SERVICES: dict[str, str] = {
     r"qdgrasp-router": "listening",
