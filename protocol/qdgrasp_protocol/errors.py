@@ -15,6 +15,7 @@
             * NoFolder               a path where no folder is
             * DiskFull               there is no room to write in it
             * OutputError            a path where something cannot be written
+            * OtherRun               a journal in a folder whose other files are of another run
         * NoSuchRow              a number that no row of a journal has
         * NoSuchTrial            a trial that is not recorded of a row
         * NoPose                 a row without a pose that could be shown
@@ -180,6 +181,25 @@ class OutputError(FolderError):
     def __init__(self, path: object, why: str, instead: str = "", *, forces: bool = False) -> None:
         advice = ", or ".join([instead] * bool(instead) + ["replace it with --force"] * forces)
         super().__init__(f"{path} {why}{'; ' if advice else ''}{advice}.")
+
+
+class OtherRun(FolderError):
+    """A journal in a folder whose other files are of another run: one of them is in the wrong place.
+
+    Parameters
+    ----------
+    journal
+        The journal.
+    file
+        What is of another run.
+    of, than
+        What each is of, in words; of the same kind.
+    """
+
+    def __init__(self, journal: object, file: object, of: str, than: str) -> None:
+        super().__init__(
+            f"{journal} is the journal of {of}, and {file} is of {than}: restore one of the two from a copy."
+        )
 
 
 class EndsTooSoon(InputError):

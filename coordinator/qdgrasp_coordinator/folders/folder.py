@@ -8,6 +8,7 @@ Beside them are the files of its job (`job_folder`), unless it is one of a campa
 """
 
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
 
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
@@ -18,9 +19,13 @@ from qdgrasp_coordinator.folders.journal_format import Identity
 from qdgrasp_coordinator.folders.names import JOURNAL, LOGS, RUNS, SCENE, SPEC
 from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol import codec
-from qdgrasp_protocol.errors import FolderError, MessageError
+from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun
+from qdgrasp_protocol.phrases import few
 from qdgrasp_protocol.rows import Shape
-from qdgrasp_protocol.spec import RunSpec, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
+
+SHOWN, LONGEST = 3, 40
+"""Keys, and characters of a value, that are told where two files are of different runs."""
 
 
 class RunFolder:
@@ -151,11 +156,41 @@ class RunFolder:
             ) from None
 
     def journal(self) -> Journal:
-        """The journal as it is now, for a with-block; empty before a recorder opened the run."""
+        """The journal as it is now, for a with-block; empty before a recorder opened the run.
+
+        Raises
+        ------
+        FolderError
+            It cannot be read.
+        OtherRun
+            It is of another run than the spec or the scene here.
+        """
         if (self.path / JOURNAL).exists():
-            return Journal.open(self.path)
+            journal = Journal.open(self.path)
+            try:
+                self._check_own(journal)
+            except BaseException:
+                journal.close()
+                raise
+            return journal
         scene = self.bundle().digest if self.has_bundle() else ""
         return Journal.empty(Identity(self.run, to_toml(self.spec), scene, Shape(0, 0)))
+
+    def _check_own(self, journal: Journal) -> None:
+        """Check that a journal is of this folder's spec, with any budget, and of its scene."""
+        file = self.path / JOURNAL
+        if journal.spec_text != disk.read(self.path / SPEC).decode(errors="replace"):
+            found, told = journal.spec, self.spec
+            if other := differences(found, told):
+                raise OtherRun(file, self.path / SPEC, _in_words(found, other), _in_words(told, other))
+        if self.has_bundle() and (digest := self.bundle().digest) != journal.scene:
+            scene, spec = self.scene(), journal.spec
+            raise OtherRun(
+                file,
+                self.path / SCENE,
+                f"scene {journal.scene[:12]} ({spec.gripper} on {spec.object})",
+                f"scene {digest[:12]} ({scene.gripper.name} on {scene.object.name})",
+            )
 
 
 def files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
@@ -168,6 +203,12 @@ def _job_path(path: Path) -> Path:
     """The folder of the job of a run's folder."""
     is_part = not JobFolder.is_job(path) and path.absolute().parent.name == RUNS
     return path.absolute().parent.parent if is_part else path
+
+
+def _in_words(spec: RunSpec, keys: Iterable[str]) -> str:
+    """A run by what it has otherwise than another one."""
+    told = [f"{key} {str(getattr(spec, key))[:LONGEST]}" for key in keys]
+    return f"a run with {few(told, SHOWN)}"
 
 
 def _no_run(path: Path) -> str:

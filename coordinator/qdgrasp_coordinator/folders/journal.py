@@ -90,7 +90,12 @@ class Journal:
     @property
     def spec(self) -> RunSpec:
         """The full spec, with the latest budget."""
-        return from_toml(self._meta()["spec"], str(self._file))
+        return from_toml(self.spec_text, str(self._file))
+
+    @property
+    def spec_text(self) -> str:
+        """The same as TOML."""
+        return self._meta()["spec"]
 
     @property
     def platform(self) -> dict[str, str]:

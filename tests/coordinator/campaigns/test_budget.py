@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.campaigns.budget import extend
 from qdgrasp_coordinator.counts.stretch import Stretch
 from qdgrasp_coordinator.folders.folder import RunFolder
@@ -21,7 +20,7 @@ SHAPE = Shape(genes=7, joints=2)
 
 def begun(path: Path, spec: RunSpec, rows: Rows) -> RunFolder:
     """A run that has recorded these rows."""
-    folder = RunFolder.create(path / "run", spec, Bundle(b"scene", "0" * 64))
+    folder = RunFolder.create(path / "run", spec, None)
     with JournalWriter.create(folder.path, Identity("run", to_toml(spec), "0" * 64, SHAPE)) as journal:
         journal.append(Stretch(0, rows), 1, 0.0)
     return folder

@@ -4,14 +4,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
+from tests.coordinator.scenes import SceneMaker
 
-from qdgrasp_assets.scene import Bundle
+from qdgrasp_assets.scene import Bundle, pack_scene
 from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import JobFolder
 from qdgrasp_coordinator.folders.journal_format import Identity
 from qdgrasp_coordinator.folders.journal_writer import JournalWriter
-from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.errors import FolderError, OtherRun
 from qdgrasp_protocol.rows import Shape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -136,10 +138,50 @@ def test_a_journal_that_no_recorder_has_opened_is_empty(folder: RunFolder) -> No
         assert journal.spec == SPEC
 
 
+def recorded(folder: RunFolder, spec: RunSpec = SPEC) -> RunFolder:
+    """The folder with a journal."""
+    identity = Identity("run", to_toml(spec), folder.bundle().digest, Shape(7, 2))
+    JournalWriter.create(folder.path, identity).close()
+    return folder
+
+
 def test_a_recorded_journal_is_read(folder: RunFolder) -> None:
-    JournalWriter.create(folder.path, Identity("run", to_toml(SPEC), "cd" * 32, Shape(7, 2))).close()
-    with folder.journal() as journal:
-        assert journal.scene == "cd" * 32
+    with recorded(folder).journal() as journal:
+        assert journal.scene == folder.bundle().digest
+
+
+def test_a_journal_is_its_folder_s_own_with_any_budget_and_without_its_scene(folder: RunFolder) -> None:
+    recorded(folder).rewrite_spec(msgspec.structs.replace(SPEC, evaluations=20_000))
+    with (folder.path / "spec.toml").open("a") as spec:
+        spec.write("# a note\n")
+    folder.journal().close()
+    (folder.path / "scene.bundle").unlink()
+    folder.journal().close()
+
+
+def test_a_journal_of_another_run_is_refused(folder: RunFolder) -> None:
+    recorded(folder).rewrite_spec(RunSpec(gripper="allegro", object="mug", seed=3))
+    with pytest.raises(OtherRun) as error:
+        folder.journal()
+    assert str(error.value) == (
+        f"{folder.path}/run.sqlite is the journal of a run with gripper panda, seed 0, and "
+        f"{folder.path}/spec.toml is of a run with gripper allegro, seed 3: "
+        "restore one of the two from a copy."
+    )
+
+
+def test_a_journal_of_another_scene_is_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
+    bundle = pack_scene(make_scene())
+    folder = recorded(RunFolder.create(tmp_path / "run", SPEC, bundle))
+    other = pack_scene(make_scene("claw"))
+    folder.add_bundle(other.payload)
+    with pytest.raises(OtherRun) as error:
+        folder.journal()
+    assert str(error.value) == (
+        f"{folder.path}/run.sqlite is the journal of scene {bundle.digest[:12]} (panda on mug), and "
+        f"{folder.path}/scene.bundle is of scene {other.digest[:12]} (claw on block): "
+        "restore one of the two from a copy."
+    )
 
 
 HOLD = """

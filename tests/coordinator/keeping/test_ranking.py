@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.counts.cells import cells, keys
 from qdgrasp_coordinator.counts.niches import UNKNOWN, niches
 from qdgrasp_coordinator.counts.orientations import MIDDLES
@@ -51,7 +50,7 @@ def trials_of(row: np.void, total: int) -> Rows:
 @pytest.fixture
 def record(tmp_path: Path) -> Record:
     def make(name: str, spec: RunSpec, rows: Rows) -> RunFolder:
-        folder = RunFolder.create(tmp_path / name, spec, Bundle(b"scene", "0" * 64))
+        folder = RunFolder.create(tmp_path / name, spec, None)
         with JournalWriter.create(folder.path, Identity("run", to_toml(spec), "0" * 64, SHAPE)) as journal:
             journal.append(Stretch(0, rows), 1, 0.0)
         return folder
