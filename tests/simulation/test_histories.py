@@ -55,7 +55,7 @@ def test_every_invariant_holds_with(trouble: dict[str, object]) -> None:
         check(replace(QUIET, number=number, **trouble))
 
 
-@pytest.mark.parametrize("first", range(0, 300, 30))
+@pytest.mark.parametrize("first", range(0, 150, 30))
 def test_every_invariant_holds_with_all_of_it_together(first: int) -> None:
     for number in range(first, first + 30):
         check(draw(number))
