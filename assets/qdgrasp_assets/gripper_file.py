@@ -2,15 +2,15 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from msgspec import Struct
 
 from qdgrasp_assets.files import amiss, on_asset_path, searched
+from qdgrasp_assets.gripper_values import check_values
 from qdgrasp_assets.scene import Jaw
 from qdgrasp_assets.vectors import unit
-from qdgrasp_protocol.errors import AssetError, UnknownKey
+from qdgrasp_protocol.errors import AssetError
 
 ON_ASSET_PATH = "asset://"
 
@@ -84,7 +84,13 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return toml.parent / self.urdf
 
 
-NESTED = {"joints": JointTable, "synergies": SynergyTable, "free_joints": FreeJointTable}
+TABLES = {
+    "": GripperFile,
+    "joints": JointTable,
+    "synergies": SynergyTable,
+    "free_joints": FreeJointTable,
+    "jaw": JawTable,
+}
 
 
 def urdf_path(path: Path, file: GripperFile) -> Path:
@@ -110,7 +116,7 @@ def read_gripper_file(path: Path) -> GripperFile:
     Raises
     ------
     UnknownKey, AssetError
-        A key that no field has; it is not there, no TOML, or a value is impossible.
+        A key that no field has; it is not there, no TOML, or a field is left out or of another kind.
     """
     if why := amiss(path):
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
@@ -120,21 +126,5 @@ def read_gripper_file(path: Path) -> GripperFile:
         raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise AssetError(f"'{path}' is not TOML: {error}.") from None
-    _check_keys(str(path), values, GripperFile)
-    if "jaw" in values:
-        _check_keys(f"{path}: jaw", values["jaw"], JawTable)
-    for table, struct in NESTED.items():
-        inner = values.get(table, {})
-        for label, entry in inner.items() if isinstance(inner, dict) else enumerate(inner):
-            _check_keys(f"{path}: {table}.{label}", entry, struct)
-    try:
-        return msgspec.convert(values, GripperFile)
-    except msgspec.ValidationError as error:
-        raise AssetError(f"The gripper '{path}': {error}.") from None
-
-
-def _check_keys(where: str, values: Any, struct: Any) -> None:
-    known = [field.name for field in msgspec.structs.fields(struct)]
-    for key in values if isinstance(values, dict) else ():
-        if key not in known:
-            raise UnknownKey(where, key, known)
+    check_values(path, values, TABLES)
+    return msgspec.convert(values, GripperFile)

@@ -1,11 +1,15 @@
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
+from tests.assets.conftest import TOML
 
 from qdgrasp_assets.catalog import find_gripper, gripper_names
 from qdgrasp_assets.gripper import read_gripper
 from qdgrasp_assets.gripper_faults import gripper_faults
+from qdgrasp_assets.gripper_file import TABLES
+from qdgrasp_assets.gripper_values import KINDS, NEEDED, WRITTEN
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownKey
 
 
@@ -49,7 +53,43 @@ def test_a_gripper_that_is_not_listed_is_named_by_its_file(claw):
             "closed = 1.2\neffort = 0.0",
             "effort of the joint 'bend' must be greater",
         ),
-        ("claw.toml", "closed = 1.2", 'closed = "shut"', r"Expected `float.*\$.joints"),
+        (
+            "claw.toml",
+            "closed = 1.2",
+            'closed = "shut"',
+            r"joints\.bend\.closed must be a number, got 'shut'",
+        ),
+        ("claw.toml", "closed = 1.2", "driven = 1", r"joints\.bend\.driven must be true or false, got 1"),
+        ("claw.toml", "[0.0, 0.03]", "[0.0]", r"standoff must be two numbers, got \[0\.0\]"),
+        ("claw.toml", "[0, 0, 2]", "2", "approach_axis must be three numbers, got 2"),
+        ("claw.toml", '["finger"]', '"finger"', "finger_links must be a list of names, got 'finger'"),
+        ("claw.toml", '"palm"', "1", "base_link must be text, got 1"),
+        (
+            "claw.toml",
+            "[joints.bend]",
+            "[joints]\nbend = 3\n[joints.twist]",
+            "joints.bend must be a table, got 3",
+        ),
+        (
+            "claw.toml",
+            TOML[TOML.index("[joints") :],
+            "joints = 3",
+            r"joints must be tables \[joints\.NAME\], got 3",
+        ),
+        (
+            "claw.toml",
+            "[joints.bend]",
+            "synergies = 3\n[joints.bend]",
+            r"synergies must be tables \[\[s.*, got 3",
+        ),
+        ("claw.toml", "[joints.bend]", "jaw = 3\n[joints.bend]", r"jaw must be a table \[jaw\], got 3"),
+        ("claw.toml", "open = 0.0", "", r"says no open in joints\.bend: say where it is in the open posture"),
+        (
+            "claw.toml",
+            'finger_links = ["finger"]',
+            "",
+            "'.*claw.toml' says no finger_links: name the links whose",
+        ),
         ("claw.toml", "[0.0, 0.03]", "[0.05, 0.03]", r"standoff must be \[least, greatest\]"),
         ("claw.toml", "[0, 0, 2]", "[0, 0, 0]", "approach_axis must not be zero"),
         ("claw.toml", "[0, 0, 2]", "[nan, 0, 1]", "approach_axis must be a finite number, got nan"),
@@ -67,7 +107,7 @@ def test_a_gripper_that_is_not_listed_is_named_by_its_file(claw):
             r"joints\.bend\.closed must be a finite number, got -inf",
         ),
         ("claw.toml", "palm_offset = 0.05", "palm_offset = -1", "palm_offset must be 0 or more"),
-        ("claw.toml", "palm_offset = 0.05", "", "missing required field `palm_offset`"),
+        ("claw.toml", "palm_offset = 0.05", "", "says no palm_offset: say how far the palm is"),
         ("claw.toml", '["finger"]', "[]", "finger_links must name at least one"),
         ("claw.toml", '["finger"]', '["finger", "finger"]', "finger_links names 'finger' more than once"),
         ("claw.toml", "standoff =", "standoff", "is not TOML"),
@@ -88,6 +128,13 @@ def test_what_does_not_fit_is_refused_in_a_sentence_that_names_it(claw, edit, fi
     with pytest.raises(AssetError, match=sentence) as refused:
         read(claw).on_carrier("paper")
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_there_is_advice_and_a_word_for_every_field_of_a_grippers_file(table):
+    for field in msgspec.structs.fields(TABLES[table]):
+        assert not field.required or f"{table}.{field.name}".lstrip(".") in NEEDED
+        assert field.type in KINDS or field.name in WRITTEN
 
 
 @pytest.mark.parametrize(
