@@ -31,16 +31,23 @@ CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/abo
 
 def write(path: Path, grasps: Grasps, about: About) -> None:
     """Write grasps as an ACRONYM file."""
+    path.write_bytes(_bytes(grasps, turned_about(about, grasps.scene.gripper)))
+
+
+def _bytes(grasps: Grasps, said: About) -> bytes:
+    """The file; it is made in memory, as HDF5 does not survive a disk that is full."""
     import h5py
 
-    said = turned_about(about, grasps.scene.gripper)
-    with h5py.File(path, "w") as file:
-        for name, value in _object(about, body(grasps.scene.object, about.frame)).items():
+    with h5py.File("grasps", "w", driver="core", backing_store=False) as file:
+        for name, value in _object(said, body(grasps.scene.object, said.frame)).items():
             file[f"object/{name}"] = value
         for name, value in (_grasps(grasps, said) | _hand(grasps)).items():
             file[name] = value
         file[ABOUT] = said.json
         file["qdgrasp"].attrs.update(_attributes(said))
+        file.flush()
+        made: bytes = file.id.get_file_image()
+    return made
 
 
 def _object(about: About, thing: Body) -> dict[str, object]:

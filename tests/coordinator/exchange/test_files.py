@@ -19,7 +19,7 @@ from tests.coordinator.exchange.readers import JOINTS, READERS, TURNED, homogene
 from tests.coordinator.recorded_runs import record
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.exchange import importing
+from qdgrasp_coordinator.exchange import acronym, importing
 from qdgrasp_coordinator.exchange.about import About, about
 from qdgrasp_coordinator.exchange.exporting import export
 from qdgrasp_coordinator.exchange.grasps import Grasps
@@ -227,6 +227,13 @@ def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scen
     box = trimesh.creation.box((0.04, 0.05, 0.06))
     assert told["volume"] == pytest.approx(box.volume)
     np.testing.assert_allclose(told["inertia"], box.moment_inertia * 0.1 / box.volume, rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device here that is always full")
+def test_an_acronym_file_on_a_full_disk_is_an_ordinary_error(run: RunFolder, grasps: Grasps) -> None:
+    with pytest.raises(OSError, match="No space left on device") as error:
+        acronym.write(Path("/dev/full"), grasps, about(run, grasps, "mesh"))
+    assert error.value.strerror == "No space left on device"
 
 
 def test_a_mesh_in_millimetres_is_scaled_by_what_the_file_says(make_run: MakeRun, tmp_path: Path) -> None:
