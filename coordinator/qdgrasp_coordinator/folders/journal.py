@@ -9,7 +9,7 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -203,7 +203,7 @@ class Journal:
             AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first"""
         failures = self._failures(first, stop)
         expected: int | None = None
-        with readable(self._file), closing(self._database.execute(query, (stop, first))) as found:
+        with readable(self._file), self._reading(query, stop, first) as found:
             for number, n, cpu_seconds, crc, blob in found:
                 follows = number <= first if expected is None else number == expected
                 if not follows or len(blob) != n * self.shape.dtype.itemsize or zlib.crc32(blob) != crc:
@@ -212,6 +212,16 @@ class Journal:
                 here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
                 yield Stretch(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
                 expected = number + n
+
+    @contextmanager
+    def _reading(self, query: str, *values: object) -> Iterator[sqlite3.Cursor]:
+        """What a query finds; who leaves off in the middle may have closed the journal before."""
+        found = self._database.execute(query, values)
+        try:
+            yield found
+        finally:
+            with suppress(sqlite3.ProgrammingError):
+                found.close()
 
     def _failures(self, first: int, stop: int) -> list[tuple[int, str]]:
         query = "SELECT row, reason FROM errors WHERE row >= ? AND row < ? ORDER BY row"

@@ -307,3 +307,19 @@ def test_a_journal_in_a_folder_that_nobody_may_write_is_read(tmp_path: Path) -> 
             assert journal.rows(0, 100).tobytes() == rows.tobytes()
     finally:
         tmp_path.chmod(0o755)
+
+
+def test_who_leaves_off_in_the_middle_of_rows_may_close_the_journal_first(tmp_path: Path) -> None:
+    record(tmp_path, make_rows(20), [10, 10])
+    with Journal.open(tmp_path) as journal:
+        left = journal.stretches()
+        assert len(next(left)) == 10
+    left.close()  # type: ignore[attr-defined]  # what a generator has, and an iterator need not
+
+
+def test_a_closed_journal_is_not_said_to_be_damaged(tmp_path: Path) -> None:
+    record(tmp_path, make_rows(10), [10])
+    with Journal.open(tmp_path) as journal:
+        pass
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        journal.successes()
