@@ -6,6 +6,7 @@ from qdgrasp_coordinator.campaigns.campaign import Campaign, read_campaign
 from qdgrasp_coordinator.campaigns.campaign_runs import CampaignRuns
 from qdgrasp_coordinator.campaigns.programme import Extent
 from qdgrasp_coordinator.folders import disk
+from qdgrasp_coordinator.folders.folder import RunFolder
 from qdgrasp_coordinator.folders.job_folder import Job, JobFolder
 from qdgrasp_coordinator.folders.names import CAMPAIGN, LOGS, RUNS
 from qdgrasp_coordinator.folders.outputs import OutFolder
@@ -34,6 +35,7 @@ def begin(path: Path, asked: Campaign, job: str | None = None) -> Extent:
     """
     if not JobFolder.is_job(path):
         OutFolder(path).check()
+        RunFolder.check_outside(path)
         files = Job.begun(path, job).file | {CAMPAIGN: asked.toml.encode()}
         disk.create(path, files, folders=[LOGS, RUNS])
         return CampaignRuns(None, asked.runs).extent

@@ -16,7 +16,7 @@ from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.job_folder import RUN, Job, JobFolder
 from qdgrasp_coordinator.folders.journal import Journal
 from qdgrasp_coordinator.folders.journal_format import Identity
-from qdgrasp_coordinator.folders.names import JOURNAL, LOGS, RUNS, SCENE, SPEC
+from qdgrasp_coordinator.folders.names import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC
 from qdgrasp_coordinator.folders.outputs import OutFolder
 from qdgrasp_protocol import codec
 from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun
@@ -90,9 +90,10 @@ class RunFolder:
         Raises
         ------
         FolderError
-            Something is there, or on the way to it, or it is among the runs of a campaign.
+            Something is there, or on the way to it, or it is among the runs of a campaign or in another run.
         """
         OutFolder(path, force=True, is_kind=RunFolder.is_run).check()
+        RunFolder.check_outside(path)
         owner = _job_path(path)
         if owner != path and JobFolder.is_job(owner):
             raise FolderError(
@@ -104,6 +105,21 @@ class RunFolder:
                 f"{path} holds a run already: `qdgrasp resume {path}` goes on with it; "
                 "for a new run name another folder with --out."
             )
+
+    @staticmethod
+    def check_outside(path: Path) -> None:
+        """Check that `path` is not in the folder of a run.
+
+        Raises
+        ------
+        FolderError
+            It is.
+        """
+        for folder in path.resolve().parents:
+            if RunFolder.is_run(folder):
+                raise FolderError(
+                    f"{path} would lie in {folder}, the folder of a run; name another folder with --out."
+                )
 
     @property
     def job(self) -> JobFolder:
@@ -215,4 +231,8 @@ def _no_run(path: Path) -> str:
     """What is said of a folder that holds no run."""
     if JobFolder.is_job(path) and JobFolder(path).is_campaign:
         return f"{path} holds a campaign; name one of its runs, a folder in {path / RUNS}."
-    return f"{path} holds no run: there is no {SPEC} of a job in it; name a run's folder."
+    there = [name for name in (SPEC, JOB) if disk.is_file(path / name)]
+    if not there:
+        return f"{path} holds no run: there is neither {SPEC} nor {JOB} in it; name a run's folder."
+    (missing,) = {SPEC, JOB} - {*there}
+    return f"{path} holds no whole run: it has {there[0]}, but no {missing}; restore that from a copy."

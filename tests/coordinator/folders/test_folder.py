@@ -50,6 +50,12 @@ def test_another_run_is_never_overwritten_and_its_resume_is_named(folder: RunFol
             refuse(folder.path)
 
 
+def test_no_run_is_begun_in_the_folder_of_another(folder: RunFolder) -> None:
+    with pytest.raises(FolderError, match=f"would lie in {folder.path}, the folder of a run"):
+        RunFolder.check_free(folder.path / "new" / "run")
+    RunFolder.check_free(folder.path / ".." / "new")
+
+
 def test_other_files_are_never_mixed_with_a_run(tmp_path: Path) -> None:
     for name in "dcba":
         (tmp_path / name).touch()
@@ -71,6 +77,16 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
         RunFolder.open(tmp_path)
     with pytest.raises(FolderError, match="There is no folder"):
         RunFolder.open(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(("missing", "there"), [("spec.toml", "job.json"), ("job.json", "spec.toml")])
+def test_what_a_run_s_folder_lacks_is_named(folder: RunFolder, missing: str, there: str) -> None:
+    (folder.path / missing).unlink()
+    with pytest.raises(FolderError) as error:
+        RunFolder.open(folder.path)
+    assert str(error.value) == (
+        f"{folder.path} holds no whole run: it has {there}, but no {missing}; restore that from a copy."
+    )
 
 
 def test_a_creation_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
