@@ -19,6 +19,7 @@ from qdgrasp_coordinator.folders.names import is_part
 from qdgrasp_protocol.errors import OutputError
 from qdgrasp_protocol.phrases import few
 
+STDOUT = Path("-")
 FILE, FOLDER = "a file", "a folder"
 SHOWN = 3
 """Names of files that are told where others are in the way."""
@@ -41,6 +42,8 @@ class Output(ABC):
             Something else is in its place, or on the way to it.
         """
         with disk.writing(self.path, self.instead):
+            if self.path == STDOUT:
+                raise self._refused("would be standard output, where no output goes")
             if is_part(self.path):
                 raise self._refused("is part of a run or of a campaign")
             self._check_place()
@@ -100,6 +103,8 @@ class OutFile(Whole):
     """Whether a file that is there is replaced; None: it is not, and the command has no flag for it."""
     inputs: tuple[Path, ...] = ()
     """Files that the command reads, which it never replaces; those that are not there are passed over."""
+    is_kind: Callable[[Path], bool] = lambda _: True
+    """Whether a file that is there may be replaced by force."""
 
     def write(self, payload: bytes) -> None:
         """Write it; raises as `writing`."""
@@ -116,6 +121,8 @@ class OutFile(Whole):
             raise self._refused("is a file that is read here")
         if what and not self.force:
             raise OutputError(self.path, "is there already", self.instead, forces=self.force is not None)
+        if what and not self.is_kind(self.path):
+            raise self._refused("is there already, and was not made by qdgrasp")
 
 
 @dataclass(frozen=True)
@@ -145,9 +152,9 @@ class SharedFolder(Output):
     is_kind: Callable[[Path], bool] = lambda _: True
     """Whether files may be put into a folder that is there and not empty."""
 
-    def file(self, name: str) -> OutFile:
-        """A file in it, in the place of an earlier one of the name."""
-        return OutFile(self.path / name, self.instead, force=True)
+    def file(self, name: str, is_kind: Callable[[Path], bool] = lambda _: True) -> OutFile:
+        """A file in it, in the place of an earlier one of the name and the kind."""
+        return OutFile(self.path / name, self.instead, force=True, is_kind=is_kind)
 
     @contextmanager
     def filling(self) -> Iterator[Path]:

@@ -117,6 +117,15 @@ def test_a_folder_that_may_not_be_written_in_is_refused(
 
 
 @pytest.mark.usefixtures("home")
+@each(FOLDERS, SHARED, {"export": "export run --format csv -o OUT"})
+def test_nothing_is_written_to_standard_output(command: str) -> None:
+    assert refused(command, "-").startswith(
+        "- would be standard output, where no output goes; name another path"
+    )
+    assert not Path("-").exists()
+
+
+@pytest.mark.usefixtures("home")
 @each(FILES)
 def test_a_file_that_is_there_stays(command: str) -> None:
     out = written(command)
