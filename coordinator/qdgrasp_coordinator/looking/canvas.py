@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from qdgrasp_coordinator.looking.labels import Box, Label, arranged
+
 FINE = 3
 """So many times finer lines are drawn than they are shown."""
 FONT = "DejaVuSans.ttf"
-RIM = 4
-"""Pixels between words and the edge of the picture."""
+STEP = 2.0
+"""Pixels from one place of a line to the next that words keep clear of."""
 HALO = "white"
 """Behind words, so that they are read over anything."""
 Point = tuple[float, float]
@@ -32,7 +34,9 @@ class Canvas:
         columns, rows = self._image.size
         self._lines = Image.new("RGBA", (FINE * columns, FINE * rows))
         self._pen = ImageDraw.Draw(self._lines)
-        self._words: list[tuple[Point, str, int, str, str]] = []
+        self._labels: list[Label] = []
+        self._clear: list[Box] = []
+        self._dots: list[Box] = []
 
     @property
     def size(self) -> tuple[int, int]:
@@ -60,36 +64,44 @@ class Canvas:
 
     def disc(self, middle: Point, radius: float, colour: str) -> None:
         """Draw a disc with a white rim."""
+        self._dots.append(Box(*np.subtract(middle, radius), *np.add(middle, radius)))
         for reach, fill in ((radius + 1.0, HALO), (radius, colour)):
             x, y = _fine(middle)
             self._pen.ellipse(
                 [x - FINE * reach, y - FINE * reach, x + FINE * reach, y + FINE * reach], fill=fill
             )
 
-    def write(self, place: Point, words: str, size: int, colour: str, *, leftward: bool = False) -> None:
-        """Write words from a place to the right, or to the left, halfway up."""
-        self._words.append((place, words, size, colour, "rm" if leftward else "lm"))
+    def keep_clear(self, start: Point, end: Point) -> None:
+        """Have no words stand over a line where there is room beside it."""
+        steps = 1 + round(np.hypot(*np.subtract(end, start)) / STEP)
+        for x, y in np.linspace(start, end, steps).tolist():
+            self._clear.append(Box(x - STEP / 2, y - STEP / 2, x + STEP / 2, y + STEP / 2))
+
+    def write(self, label: Label) -> None:
+        """Write words where there is room for them."""
+        self._labels.append(label)
 
     def finished(self) -> Image.Image:
         """The picture with all that was drawn over it, words on top."""
         whole = Image.alpha_composite(self._image, self._lines.resize(self._image.size, Image.Resampling.BOX))
         pen = ImageDraw.Draw(whole)
-        for place, words, size, colour, anchor in self._words:
+        for label, spot in arranged(
+            self._labels,
+            self._clear,
+            self._dots,
+            self._image.width,
+            lambda label: pen.textlength(label.words, font(label.size)),
+        ):
             pen.text(
-                self._within(place, pen.textlength(words, font(size)), anchor),
-                words,
-                colour,
-                font(size),
-                anchor=anchor,
-                stroke_width=max(1, size // 7),
+                spot[:2],
+                label.words,
+                label.colour,
+                font(label.size),
+                anchor=f"{spot.side}m",
+                stroke_width=max(1, label.size // 7),
                 stroke_fill=HALO,
             )
         return whole.convert("RGB")
-
-    def _within(self, place: Point, length: float, anchor: str) -> Point:
-        """Where words of some length begin or end, so that no letter is cut off."""
-        before, behind = (length, 0.0) if anchor == "rm" else (0.0, length)
-        return min(max(place[0], before + RIM), self._image.width - behind - RIM), place[1]
 
 
 def font(size: int) -> ImageFont.FreeTypeFont:

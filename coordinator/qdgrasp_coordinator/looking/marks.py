@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.looking.canvas import Canvas, Point
+from qdgrasp_coordinator.looking.labels import Label, Side, Spot
 from qdgrasp_protocol.replay import Camera, Pose, Shot, Touch
 
 FRAME = 0.04
@@ -30,6 +31,10 @@ HUES = (APPROACH, *AXES.values(), *WORDS)
 """All of the above."""
 BESIDE = 0.55
 """From a point to what is written beside it; this and what follows in heights of letters."""
+BEYOND = (0.8, 1.3)
+"""From the tip of an axis to the middle of its letter, farther where something else stands."""
+STEPS = (0.0, 1.2, -1.2, 2.4, -2.4)
+"""How far a name is moved down where something else stands."""
 LINE, BOLD, THIN, DOT = 0.16, 0.2, 0.12, 0.24
 """Width of the axes of a frame, of the approach axis and of a normal; radius of a contact."""
 Floats = NDArray[np.float64]
@@ -65,16 +70,24 @@ class Marks:
         origin, *tips = self._seen(placed(pose, np.vstack([np.zeros(3), FRAME * np.eye(3)])))
         for (axis, hue), tip in zip(AXES.items(), tips, strict=True):
             canvas.arrow(origin, tip, hue, LINE * self._size)
-            canvas.write((tip[0] + BESIDE * self._size, tip[1]), axis, self._size, hue)
-        away = np.array(origin) - np.mean(tips, axis=0)
-        x, y = np.array(origin) + 2 * BESIDE * self._size * away / max(1.0, float(np.hypot(*away)))
-        canvas.write((x, y), name, self._size, INK, leftward=bool(away[0] < 0))
+            canvas.keep_clear(origin, tip)
+            along = _towards(origin, tip)
+            steps = [beyond * self._size * along for beyond in BEYOND]
+            spots = [Spot(tip[0] + right, tip[1] + down, "m") for right, down in steps]
+            canvas.write(Label(axis, self._size, hue, spots, is_needed=False))
+        away = _towards(np.mean(tips, axis=0), origin)
+        x, y = np.array(origin) + 2 * BESIDE * self._size * away
+        side: Side = "r" if away[0] < 0 else "l"
+        canvas.write(Label(name, self._size, INK, [Spot(x, y + step * self._size, side) for step in STEPS]))
 
     def _arrow(self, canvas: Canvas, hand: Pose) -> None:
         """From the palm along the approach axis."""
         palm, far = self._seen(placed(hand, self._approach))
         canvas.arrow(palm, far, APPROACH, BOLD * self._size)
-        canvas.write((far[0] + BESIDE * self._size, far[1]), "approach", self._size, APPROACH)
+        canvas.keep_clear(palm, far)
+        beside = BESIDE * self._size
+        spots = [Spot(far[0] + beside, far[1], "l"), Spot(far[0] - beside, far[1], "r")]
+        canvas.write(Label("approach", self._size, APPROACH, spots))
 
     def _contact(self, canvas: Canvas, touch: Touch, hue: str) -> None:
         point = np.array(touch.point)
@@ -84,6 +97,12 @@ class Marks:
 
     def _seen(self, points: Floats) -> list[Point]:
         return [(column, row) for column, row in self._camera.pixels(points).tolist()]
+
+
+def _towards(start: Point | Floats, end: Point | Floats) -> Floats:
+    """The direction from one place to another, of length one; shorter where they are nearer than a pixel."""
+    way: Floats = np.subtract(end, start)
+    return way / max(1.0, float(np.hypot(*way)))
 
 
 def placed(pose: Pose, points: Floats) -> Floats:
