@@ -20,6 +20,7 @@ from qdgrasp_coordinator.analysis.layers import FINE, Image
 from qdgrasp_coordinator.analysis.lettering import lettered
 from qdgrasp_coordinator.analysis.picture import FAINT, INK
 from qdgrasp_coordinator.analysis.rays import FIELD, Camera, Floats, Solid, camera
+from qdgrasp_coordinator.analysis.signature import SIGNATURE
 from qdgrasp_coordinator.analysis.views import CLAY, ELEVATION, HUES, paint_solid, rgb
 
 SIZE, DPI = (12.0, 6.4), 100  # inches
@@ -74,7 +75,7 @@ def draw_gripper(gripper: SceneGripper, path: Path) -> None:
             half = upright.apply(np.array(gripper.jaw.axis) * gripper.jaw.opening / 2)
             ends = [seen_at(seen, far + side * half) for side in (-1, 1)]
             axes.plot(*zip(*ends, strict=True), "|-", color=STANDOFF, markersize=8, linewidth=1.6)
-    figure.savefig(path, format="png")
+    figure.savefig(path, format="png", metadata=SIGNATURE)
 
 
 def draw_object(target: Target, path: Path) -> None:
@@ -85,7 +86,7 @@ def draw_object(target: Target, path: Path) -> None:
     figure, seen, views = _two_views(target.name, words, panels, CLOSE, np.eye(3) * _reach(target.mesh))
     for axes in views:
         _frame(axes, seen, np.eye(3), _reach(target.mesh))
-    figure.savefig(path, format="png")
+    figure.savefig(path, format="png", metadata=SIGNATURE)
 
 
 def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
@@ -103,7 +104,7 @@ def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
         _frame(axes, seen, side, _reach(mesh))
         lines = [[seen_at(seen, end) for end in edge] for edge in (loose - middle) @ side.T]
         axes.add_collection(LineCollection(lines, colors=OPEN, linewidths=1.6))
-    figure.savefig(path, format="png")
+    figure.savefig(path, format="png", metadata=SIGNATURE)
 
 
 def seen_at(seen: Camera, point: Point) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from qdgrasp_assets.check import check as check_asset
 from qdgrasp_assets.fetch import HOME, TERMS
 from qdgrasp_assets.fetch import fetch as fetch_scan
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.cli.pictures import picture_folder
+from qdgrasp_coordinator.cli.pictures import picture, picture_folder
 from qdgrasp_coordinator.folders.outputs import SharedFolder
 from qdgrasp_protocol.errors import AssetError, WrongScan
 from qdgrasp_protocol.spec import RunSpec
@@ -88,8 +88,9 @@ def check(
 
     Example: qdgrasp asset check ycb_mug part.stl my_hand.toml --pictures pictures
     """
-    drawing = picture_folder(pictures, "--pictures")
-    reports = [check_asset(name) for name in names or (*catalog.gripper_names(), *catalog.object_names())]
+    named = names or [*catalog.gripper_names(), *catalog.object_names()]
+    drawing = picture_folder(pictures, "--pictures", named)
+    reports = [check_asset(name) for name in named]
     for report in reports:
         for line in _lines(report):
             typer.echo(line)
@@ -114,14 +115,14 @@ def _drawn(name: str, folder: SharedFolder) -> Path:
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_gripper, draw_object
 
-    picture = folder.file(f"{Path(name).stem}.png")
-    with picture.writing() as made:
+    drawn = picture(folder, name)
+    with drawn.writing() as made:
         if is_gripper(name):
             draw_gripper(catalog.find_gripper(name).on_carrier("paper"), made)
         else:
             any_mass = RunSpec(gripper="", object=name, mass=1.0)
             draw_object(catalog.find_object(any_mass), made)
-    return picture.path
+    return drawn.path
 
 
 def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:

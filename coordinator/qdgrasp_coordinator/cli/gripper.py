@@ -20,8 +20,7 @@ from qdgrasp_assets.hands.examination import Examination, examine_hand, examine_
 from qdgrasp_assets.hands.source import read_source
 from qdgrasp_assets.hands.writing import toml
 from qdgrasp_assets.urdf import Urdf
-from qdgrasp_coordinator.cli import findings, options, wizard
-from qdgrasp_coordinator.cli.pictures import picture_folder
+from qdgrasp_coordinator.cli import findings, options, pictures, wizard
 from qdgrasp_coordinator.folders import disk
 from qdgrasp_coordinator.folders.outputs import OutFile, OutFolder, SharedFolder
 from qdgrasp_protocol.errors import AssetError
@@ -124,7 +123,7 @@ def check(
 
     Example: qdgrasp gripper check my_hand.toml --picture pictures
     """
-    drawing = picture_folder(picture, "--picture")
+    drawing = pictures.picture_folder(picture, "--picture", [name])
     found, hand = _examined(name)
     findings.tell(found, as_json=as_json)
     if drawing is not None and found.extents is not None:
@@ -211,7 +210,7 @@ def _drawn(hand: Gripper, name: str, folder: SharedFolder) -> Path:
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_gripper
 
-    picture = folder.file(f"{Path(name).stem}.png")
-    with picture.writing() as made:
+    drawn = pictures.picture(folder, name)
+    with drawn.writing() as made:
         draw_gripper(hand.on_carrier("paper"), made)
-    return picture.path
+    return drawn.path

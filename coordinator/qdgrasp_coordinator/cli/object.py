@@ -16,8 +16,7 @@ from qdgrasp_assets.mesh_file import WRITTEN, to_bytes
 from qdgrasp_assets.solid import Draft, read_draft
 from qdgrasp_assets.target import target_of
 from qdgrasp_assets.units import in_words, scale_of
-from qdgrasp_coordinator.cli import findings, options
-from qdgrasp_coordinator.cli.pictures import picture_folder
+from qdgrasp_coordinator.cli import findings, options, pictures
 from qdgrasp_coordinator.folders.outputs import OutFile, SharedFolder
 from qdgrasp_coordinator.watching.telling import telling
 from qdgrasp_protocol.errors import AssetError
@@ -69,7 +68,8 @@ def check(
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """
     metres, path = _checked(units, scale, mass), _found(file)
-    drawing, writing = picture_folder(picture, "--picture"), _mesh_file(repaired)
+    drawing = pictures.picture_folder(picture, "--picture", [path.name])
+    writing = _mesh_file(repaired)
     draft = read_draft(path, metres, fill_holes=fill_holes)
     with nullcontext(quietly) if as_json else telling() as tell:
         tell("looking at its surface")
@@ -132,13 +132,13 @@ def _drawn(found: Inspection, draft: Draft, path: Path, folder: SharedFolder) ->
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_coordinator.analysis.portrait import draw_mesh, draw_object
 
-    picture = folder.file(f"{path.stem}.png")
-    with picture.writing() as made:
+    drawn = pictures.picture(folder, path.name)
+    with drawn.writing() as made:
         if found.convex is None:
             draw_mesh(path.name, draft.mesh, made)
         else:
             draw_object(target_of(draft.mesh, path, found.mass or 1.0), made)
-    return picture.path
+    return drawn.path
 
 
 def _next(file: str, scale: float | None, mass: float | None) -> str:

@@ -8,6 +8,7 @@ from tests.assets.hands import jaw
 from typer.testing import CliRunner
 
 from qdgrasp_assets.gripper_file import read_gripper_file
+from qdgrasp_coordinator.analysis.signature import is_signed
 from qdgrasp_coordinator.cli import gripper as command
 from qdgrasp_coordinator.cli.gripper import app
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
@@ -125,6 +126,7 @@ def test_a_urdf_alone_is_checked_and_drawn_as_it_is_guessed(gripper):
     assert done.exit_code == 0
     assert "drawn: pictures/jaw.png" in done.stdout
     assert Path("pictures/jaw.png").read_bytes()[:4] == b"\x89PNG"
+    assert is_signed(Path("pictures/jaw.png"))
 
 
 def test_check_says_all_that_is_wrong_and_ends_so(gripper):

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from qdgrasp_assets.decompose import TookTooLong
 from qdgrasp_assets.inspection import Inspection
 from qdgrasp_assets.solid import read_draft
+from qdgrasp_coordinator.analysis.signature import is_signed
 from qdgrasp_coordinator.cli.object import app
 from qdgrasp_protocol.errors import AssetError, FolderError, ImpossibleValue, InputError, UnknownName
 
@@ -184,6 +185,9 @@ def test_an_object_is_drawn_also_where_it_is_open(check, good):
     done = check("part.ply", "--picture", "pictures")
     assert "drawn: pictures/part.png" in done.stdout
     assert Path("pictures/part.png").read_bytes()[:4] == b"\x89PNG"
+    assert is_signed(Path("pictures/part.png"))
+    again = check("part.ply", "--picture", "pictures")
+    assert "drawn: pictures/part.png" in again.stdout
 
 
 @pytest.mark.parametrize(

@@ -189,6 +189,25 @@ def test_a_folder_takes_the_place_of_no_file(command: str) -> None:
 
 
 @pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("asset check mug --pictures out", "mug"),
+        ("gripper check jaw.urdf --picture out", "jaw"),
+        ("object check part.stl --picture out", "part"),
+    ],
+)
+def test_a_picture_takes_the_place_of_none_that_others_made(command: str, name: str) -> None:
+    Path("out").mkdir()
+    theirs = Path(f"out/{name}.png")
+    theirs.write_bytes(b"\x89PNG, mine")
+    assert refused(command).startswith(
+        f"{theirs} is there already, and was not made by qdgrasp; name another path with --picture"
+    )
+    assert theirs.read_bytes() == b"\x89PNG, mine"
+
+
+@pytest.mark.usefixtures("home")
 @each(FOLDERS)
 def test_a_folder_takes_the_place_of_no_other_files(command: str) -> None:
     Path("out").mkdir()
