@@ -1,7 +1,6 @@
 """The grasps of a run as arrays: `python grasps.py runs/mug`."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -27,4 +26,4 @@ rows = run.rows()
 for outcome in qdgrasp.Outcome:
     print(f"{outcome.name}: {np.count_nonzero(rows['outcome'] == outcome)} of {len(rows)} evaluations")
 
-np.savez(Path(sys.argv[1]) / "robust.npz", matrices=robust.matrices("mesh"), joints=robust.joints)
+np.savez(f"{run.path.absolute()}-robust.npz", matrices=robust.matrices("mesh"), joints=robust.joints)

@@ -90,7 +90,7 @@ def test_a_search_of_ones_own_makes_a_run_whose_grasps_are_arrays(scripts: Scrip
     assert f"{len(run.grasps(min_fitness=2))} robust grasps" in said
     for grasp in run.grasps(diverse=5):
         assert f"{grasp.number}: {grasp.outcome.name} at " in said
-    with np.load(scripts.home / "mine" / "robust.npz") as kept:
+    with np.load(scripts.home / "mine-robust.npz") as kept:
         assert kept["matrices"].tobytes() == run.grasps(min_fitness=2).matrices("mesh").tobytes()
 
 
