@@ -34,7 +34,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "a search that hears nothing": ({"make": lambda genes: iter(genes.names)}, "has no ask and no tell"),
     "no path": ({"out": 3}, "out must be a path, got 3"),
     "no prior": ({"prior": ["contact"]}, "Unknown prior"),
-    "no budget": ({"evaluations": 0}, "evaluations must be a whole number at least 1 and at most 1000000000, got 0"),
+    "no budget": (
+        {"evaluations": 0},
+        "evaluations must be a whole number at least 1 and at most 1000000000, got 0",
+    ),
     "no gripper": ({"gripper": None}, "'gripper' is missing; say gripper=... with a name or a file"),
     "nobody": (
         {"place": qdgrasp.Place(workers=0)},
