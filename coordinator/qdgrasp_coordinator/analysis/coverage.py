@@ -34,7 +34,7 @@ class Coverage(Struct, frozen=True, kw_only=True):
     robust_found: int
     """Those in which a success of fitness 2 was found."""
     released_found: int | None
-    """Elites of the released code's archive whose position is in the set; None for a foreign hand."""
+    """Elites of the released code's archive whose position is in the set; None for a foreign hand or set."""
     sentence: str = ""
     """The result in words."""
 
@@ -56,7 +56,8 @@ def coverage(
     reference
         The set of the same object.
     archive
-        The released code's archive for this scene; None leaves its figures out.
+        The released code's archive for this scene; None leaves its figures out, and so does a set of one's
+        own, which that code never had.
     """
     reached, robust = cells(positions), reference.robust
     distinct = np.unique(reached, axis=0)
@@ -86,7 +87,7 @@ def _released(
     archive: ReleasedArchive | None,
 ) -> tuple[int | None, int | None]:
     """Elites in the set, and those of them with fitness 2."""
-    if archive is None:
+    if archive is None or reference.origin is not None:
         return None, None
     elites = archive.elites(positions, fitness)
     robust = elites[fitness[elites] == ROBUST]

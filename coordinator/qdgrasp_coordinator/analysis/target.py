@@ -23,7 +23,7 @@ class Target:
     reference: ReferenceSet | None = None
     """Never empty; None: there is nothing to compare with."""
     archive: ReleasedArchive | None = None
-    """The released code's archive; None for a hand that it does not have."""
+    """The released code's archive; None for a hand that it does not have, and for a set of one's own."""
     stand_in: bool = False
     """Whether the scene's object only stands in for the scan that the set was made with."""
     why: str = ""
@@ -58,7 +58,8 @@ class Targets:
             except InputError:
                 continue
             if len(known):
-                return Target(known, released_archive(scene), stand_in)
+                archive = released_archive(scene) if known.origin is None else None
+                return Target(known, archive, stand_in)
             return Target(why=f"S_G of {hand} and {name} is empty")
         return Target(why=f"no S_G of {hand} and {name}")
 

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
 
 from qdgrasp_coordinator.analysis.coverage import coverage
-from qdgrasp_coordinator.analysis.reference import ReferenceSet
+from qdgrasp_coordinator.analysis.reference import BuiltFrom, ReferenceSet
 from qdgrasp_coordinator.analysis.released import ReleasedArchive
 
 SHIFTED = ReleasedArchive(np.full(3, -0.14), 0.291)
@@ -103,6 +105,13 @@ def test_the_released_count_can_lose_what_it_had() -> None:
 def test_without_an_archive_of_the_released_code_its_figures_are_left_out() -> None:
     found = coverage(at((1, 0, 0)), np.array([2]), FOUR)
     assert (found.released, found.released_robust, found.released_found) == (None, None, None)
+
+
+def test_on_a_set_of_ones_own_the_released_code_has_no_count() -> None:
+    own = replace(FOUR, origin=BuiltFrom("panda", "part.stl", "part", ("paper",)))
+    found = coverage(at((1, 0, 0)), np.array([2]), own, SHIFTED)
+    assert (found.found, found.released, found.released_robust, found.released_found) == (1, None, None, None)
+    assert "released" not in found.sentence
 
 
 def test_the_sentence_says_what_the_figures_say() -> None:
