@@ -210,7 +210,7 @@ def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
     assert ended.code == 0, ended.err
     found = qdgrasp.info("out/runs/panda-large-one-aimed-s0")
     assert (found["complete"], found["scale"]) == (True, 0.001)
-    assert "1 of 1 runs" in qdgrasp("campaign", "out").out
+    assert "1 of 1 run with" in qdgrasp("campaign", "out").out
 
 
 @pytest.mark.slow
