@@ -1,6 +1,7 @@
 """What each part of the search that aims brings: `python -m tests.benchmarks.ablation --help`.
 
-One part is left out at a time; all else, seeds included, stays.
+One part is left out at a time; all else, seeds included, stays. Each finished run is a line of the file that
+`--out` names, and is not carried out again: a stop costs at most one run.
 """
 
 import argparse
@@ -8,6 +9,8 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +27,7 @@ from qdgrasp_coordinator.searches.draws import draws
 from qdgrasp_coordinator.searches.frontier import NEIGHBOURS, Places
 from qdgrasp_coordinator.searches.space import Space
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.platform import code_digest
 
 LOOSE = 0.5
 
@@ -118,18 +122,58 @@ VARIANTS: dict[str, Callable[[RunSpec, Space], Aimed]] = {
 }
 
 
+class Finished:
+    """Runs that are in, in a file with a line of JSON for each.
+
+    Parameters
+    ----------
+    path
+        The file; it is begun where there is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        self._runs = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+    def find(self, asked: dict[str, Any]) -> dict[str, Any] | None:
+        """The run that was asked for in these words."""
+        return next((run for run in self._runs if run["asked"] == asked), None)
+
+    def add(self, run: dict[str, Any]) -> None:
+        """Keep a run."""
+        self._runs.append(run)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(run) + "\n")
+
+
 def measure(
-    objects: Sequence[str], seeds: Sequence[int], names: Sequence[str], shakes: bool, **values: Any
+    objects: Sequence[str],
+    seeds: Sequence[int],
+    names: Sequence[str],
+    shakes: bool,
+    finished: Finished,
+    **values: Any,
 ) -> list[dict[str, Any]]:
-    """The figures of each variant on each object with each seed."""
+    """The figures of each variant on each object with each seed, of runs that are in or carried out now."""
     found = []
-    for name in names:
-        for thing in objects:
-            for seed in seeds:
-                spec = full_spec(values | {"object": thing, "seed": seed, "method": "aimed"})
-                ran = alone.run(spec, VARIANTS[name], shakes=shakes)
-                found.append({"variant": name} | ran.as_dict())
-                sys.stderr.write(f"{name}, {thing}, seed {seed}: {100 * found[-1]['coverage'][-1]:.1f} %\n")
+    for name, thing, seed in product(names, objects, seeds):
+        asked = values | {
+            "variant": name,
+            "object": thing,
+            "seed": seed,
+            "shakes": shakes,
+            "code": code_digest(),
+        }
+        run = finished.find(asked)
+        if run is None:
+            spec = full_spec(values | {"object": thing, "seed": seed, "method": "aimed"})
+            ran = alone.run(spec, VARIANTS[name], shakes=shakes)
+            run = {"asked": asked, "variant": name} | ran.as_dict()
+            finished.add(run)
+        found.append(run)
+        sys.stderr.write(f"{name}, {thing}, seed {seed}: {100 * run['coverage'][-1]:.1f} %\n")
     return found
 
 
@@ -179,9 +223,11 @@ def main() -> None:
     parser.add_argument("--protocol", default="released")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS))
     parser.add_argument("--no-shakes", action="store_true", help="look at successes alone, for a fraction")
+    parser.add_argument("--out", type=Path, default=Path("runs/ablation.jsonl"), help="runs that are in")
     asked = parser.parse_args()
     values = {name: getattr(asked, name) for name in ("gripper", "evaluations", "overlaps", "protocol")}
-    found = measure(asked.objects, asked.seeds, asked.variants, not asked.no_shakes, **values)
+    finished = Finished(asked.out)
+    found = measure(asked.objects, asked.seeds, asked.variants, not asked.no_shakes, finished, **values)
     Console(stderr=True, width=120).print(table(found))
     sys.stdout.write(json.dumps({"machine": machine(), "runs": found}, indent=1) + "\n")
 
