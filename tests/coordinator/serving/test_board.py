@@ -158,6 +158,7 @@ def test_those_who_come_late_hear_what_happened_and_how_counts_grew() -> None:
     job = Job({"run-0": LONG})
     with job.serving(), job.network.session() as bus, Pretender(job.network.session(), ANN).at_work():
         until(lambda: curve(bus, "run-0").points)
+        until(lambda: KEYS.stat("run/run-0") in bus.ask_all(KEYS.stat()))
         values = bus.ask_all(KEYS.stat())
         (recent,) = bus.ask_all(KEYS.recent).values()
         everywhere = bus.ask_all("qdgrasp/v1/*/stat/curve/*")
