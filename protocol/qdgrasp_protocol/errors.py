@@ -82,11 +82,8 @@ class UnknownName(InputError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         names = sorted(known)
-        close = get_close_matches(name, names, n=1)
-        guess = f" Did you mean '{close[0]}'?" if close else ""
-        super().__init__(
-            f"Unknown {kind} '{name}'.{guess} Known: {', '.join(names)}.{' ' if hint else ''}{hint}"
-        )
+        more = f" {hint}" if hint else ""
+        super().__init__(f"Unknown {kind} '{name}'.{_guess(name, names)} Known: {', '.join(names)}.{more}")
 
 
 class UnknownKey(InputError):
@@ -94,9 +91,13 @@ class UnknownKey(InputError):
 
     def __init__(self, where: str, key: str, known: Iterable[str]) -> None:
         names = sorted(known)
-        close = get_close_matches(key, names, n=1)
-        guess = f" Did you mean '{close[0]}'?" if close else ""
-        super().__init__(f"{where}: unknown key '{key}'.{guess} Known keys: {', '.join(names)}.")
+        super().__init__(f"{where}: unknown key '{key}'.{_guess(key, names)} Known keys: {', '.join(names)}.")
+
+
+def _guess(name: str, names: Sequence[str]) -> str:
+    """Which of the names may have been meant, in a sentence; empty: none is near."""
+    close = get_close_matches(name, names, n=1)
+    return f" Did you mean '{close[0]}'?" if close else ""
 
 
 class ImpossibleValue(InputError):
