@@ -45,22 +45,25 @@ def watch(qdgrasp: Commands, *arguments: object) -> tuple[int, str, str]:
 
 @contextmanager
 def running(qdgrasp: Commands, evaluations: int) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """A run of which some rows are on disk, at an endpoint."""
-    endpoint = own_endpoint()
+    """A run whose two workers are there and of which some rows are on disk, at an endpoint."""
+    endpoint, there = own_endpoint(), SimpleQueue[str]()
     budget = (*SMALL, "--evaluations", evaluations, "--batch-size", 10)
     command = ("run", *budget, "--workers", 2, "--out", "run", "--job", "mugs")
     process = qdgrasp.start(*command, "--listen", endpoint)
+    with ZenohBus.connect(endpoint, PATIENCE) as bus:
+        bus.watch(Keys("mugs").worker_token(), lambda key, _alive: there.put(key))
+        assert len({there.get(timeout=PATIENCE) for _ in range(2)}) == 2
     wait_for(lambda: rows_recorded(qdgrasp.home / "run") >= 20 or process.poll() is not None, "rows")
     assert process.poll() is None, process.communicate()
-    wait_for(lambda: len(pids(process, "worker")) == 2, "both workers")
     yield endpoint, process
 
 
 def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands) -> None:
     with ExitStack() as stack:
-        endpoint, process = stack.enter_context(running(qdgrasp, 120))
+        endpoint, process = stack.enter_context(running(qdgrasp, 300))
         with held(*pids(process, "worker")):  # so that it goes on for as long as it is looked at
             feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
+            wait_for(lambda: [len(view.workers) for view in feed.views()] == [2], "both workers")
             code, out, err = watch(qdgrasp, "--once", "--json", "--connect", endpoint)
             assert (code, err) == (0, "")
             (job,) = parsed(out)["jobs"]
