@@ -10,7 +10,7 @@ from typing import Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from qdgrasp.genomes import checked, layout_of
+from qdgrasp.genomes import check_given, checked, layout_of
 from qdgrasp.lots import Lot, Lots
 from qdgrasp.places import HERE, Place, Quiet, check_place, opened
 from qdgrasp.scenery import Scenery, spec_of
@@ -24,7 +24,7 @@ from qdgrasp_coordinator.searches.given import Given
 from qdgrasp_coordinator.serving.record import Memory
 from qdgrasp_coordinator.watching.stage import Stage
 from qdgrasp_protocol.errors import EndedEarly, InputError
-from qdgrasp_protocol.genome import Genomes
+from qdgrasp_protocol.genome import GIVEN, Genomes
 from qdgrasp_protocol.lifetime import Stop
 from qdgrasp_protocol.phrases import counted
 from qdgrasp_protocol.rows import Rows
@@ -124,7 +124,7 @@ class Evaluations:
         Raises
         ------
         ImpossibleValue
-            They have another shape, or hold what a genome cannot.
+            They have another shape, or hold what a genome, a pose or the hand cannot.
         TimeoutError
             The time is over. What was asked is evaluated all the same, and nobody gets its rows.
         EndedEarly
@@ -142,6 +142,8 @@ class Evaluations:
         asked = checked(genomes, self.layout)
         if not len(asked):
             return self._shape.empty(0)
+        if self.prior == GIVEN:
+            check_given(asked, self.scene.gripper)
         lot = Lot(self._assignment(asked))
         self._pending.append(lot)
         self._lots.put(lot.assignment)

@@ -4,9 +4,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qdgrasp_assets.genes import OWN, layout
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.counts.poses import Names, Poses
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.genome import GIVEN, Genomes, Layout
+
+POSES = Names("genomes (x y z)", "genomes (qx qy qz qw)", "genomes (synergy)", "genomes (free joints)")
+"""What columns of genomes are called where a pose is told as it is."""
 
 
 def layout_of(scene: Scene, prior: str) -> Layout:
@@ -46,3 +50,15 @@ def checked(values: ArrayLike, layout: Layout) -> Genomes:
         bounds = "finite" if layout.prior == GIVEN else "in [-1, 1]"
         raise ImpossibleValue("genomes", float(wrong[0]), f"{bounds} ({len(wrong)} numbers are not)")
     return genomes
+
+
+def check_given(genomes: Genomes, hand: SceneGripper) -> None:
+    """Check that genomes (n, d) of the prior `given` are poses, and synergies that a hand has.
+
+    Raises
+    ------
+    InputError
+        A quaternion is of length zero, a position is beyond all measure, or there is no such synergy.
+    """
+    labels = genomes[:, 7] if hand.synergies else None
+    Poses.of(POSES, genomes[:, :3], genomes[:, 3:7], labels).check(hand)

@@ -1,8 +1,10 @@
+import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.scenes import made_scene
+from tests.coordinator.scenes import jaw, made_scene
 
-from qdgrasp.genomes import checked, layout_of
+from qdgrasp.genomes import check_given, checked, layout_of
+from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.genome import Gene, Layout
 
@@ -40,6 +42,22 @@ def test_poses_may_lie_anywhere_but_nowhere() -> None:
     assert checked([[0.0, 2.5]], POSE).tolist() == [[0.0, 2.5]]
     with pytest.raises(ImpossibleValue, match="finite"):
         checked([[0.0, np.nan]], POSE)
+
+
+@pytest.mark.parametrize(
+    ("pose", "wanted"),
+    [
+        ([0, 0, 0, 0, 0, 0, 0], "length zero"),
+        ([1e9, 0, 0, 0, 0, 0, 1], "x y z"),
+        ([0, 0, 0, 0, 0, 0, 1, 2], "synergy.* 0 to 1 for this hand, got 2"),
+        ([0, 0, 0, 0, 0, 0, 1, 0.5], "synergy"),
+    ],
+)
+def test_what_no_hand_can_take_is_no_pose(pose: list[float], wanted: str) -> None:
+    synergies = tuple(Synergy(name=name, joints=("finger",)) for name in "ab")
+    hand = msgspec.structs.replace(jaw("jaw"), synergies=synergies if len(pose) > 7 else ())
+    with pytest.raises(InputError, match=wanted):
+        check_given(np.array([pose], np.float32), hand)
 
 
 def test_no_genomes_are_genomes() -> None:
