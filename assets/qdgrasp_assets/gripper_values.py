@@ -55,7 +55,7 @@ def check_values(path: Path, values: dict[str, Any], tables: Tables) -> None:
     UnknownKey
         A key that no field has.
     AssetError
-        A field is left out, or of another kind.
+        Fields are left out, or one is of another kind.
     """
     for table, label, entry in (*_inner(values, tables), ("", "", values)):
         _check_table(path, table, label, entry, tables[table])
@@ -77,15 +77,18 @@ def _check_table(path: Path, table: str, label: str, values: Any, struct: Any) -
     fields = {field.name: field for field in msgspec.structs.fields(struct)}
     if not isinstance(values, dict):
         raise AssetError(f"'{path}': {label} must be a table, got {values!r}.")
-    for key in values:
-        if key not in fields:
-            raise UnknownKey(f"{path}: {label}" if label else str(path), key, fields)
-    for name, field in fields.items():
-        if name in values:
-            _check_kind(path, f"{label}.{name}" if label else name, values[name], field.type)
-        elif field.required:
-            place, advice = f" in {label}" if label else "", NEEDED[f"{table}.{name}" if table else name]
-            raise AssetError(f"'{path}' says no {name}{place}: {advice}.")
+    for name, value in values.items():
+        if name not in fields:
+            raise UnknownKey(f"{path}: {label}" if label else str(path), name, fields)
+        _check_kind(path, f"{label}.{name}" if label else name, value, fields[name].type)
+    place = f" in {label}" if label else ""
+    missing = [
+        f"no {name}{place}: {NEEDED[f'{table}.{name}' if table else name]}"
+        for name, field in fields.items()
+        if field.required and name not in values
+    ]
+    if missing:
+        raise AssetError(f"'{path}' says {'; '.join(missing)}.")
 
 
 def _check_kind(path: Path, name: str, value: Any, kind: Any) -> None:

@@ -108,6 +108,12 @@ def test_a_gripper_that_is_not_listed_is_named_by_its_file(claw):
         ),
         ("claw.toml", "palm_offset = 0.05", "palm_offset = -1", "palm_offset must be 0 or more"),
         ("claw.toml", "palm_offset = 0.05", "", "says no palm_offset: say how far the palm is"),
+        (
+            "claw.toml",
+            "palm_offset = 0.05\nstandoff = [0.0, 0.03]",
+            "",
+            r"says no palm_offset: .* \[m\]; no standoff: say how far the palm may stay away",
+        ),
         ("claw.toml", '["finger"]', "[]", "finger_links must name at least one"),
         ("claw.toml", '["finger"]', '["finger", "finger"]', "finger_links names 'finger' more than once"),
         ("claw.toml", "standoff =", "standoff", "is not TOML"),

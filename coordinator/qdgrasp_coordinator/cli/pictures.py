@@ -5,6 +5,7 @@ from pathlib import Path
 
 from qdgrasp_coordinator.analysis.signature import is_signed
 from qdgrasp_coordinator.folders.outputs import OutFile, SharedFolder
+from qdgrasp_protocol.errors import InputError
 
 
 def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> SharedFolder | None:
@@ -14,13 +15,22 @@ def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> Shared
     ------
     OutputError
         They cannot be written there.
+    InputError
+        Two of them would be one file.
     """
     if path is None:
         return None
     folder = SharedFolder(path, f"name another path with {flag}")
     folder.check()
-    for name in names:
-        picture(folder, name).check()
+    drawn: dict[Path, str] = {}
+    for name in dict.fromkeys(names):
+        file = picture(folder, name)
+        file.check()
+        if (other := drawn.setdefault(file.path, name)) != name:
+            raise InputError(
+                f"'{other}' and '{name}' would both be drawn to '{file.path}'; name them in two commands, "
+                f"with another {flag} for each."
+            )
     return folder
 
 

@@ -96,6 +96,13 @@ def test_check_draws_what_can_be_used(asset, tmp_path):
     assert all(name in done.stdout for name in drawn)
 
 
+def test_check_draws_no_two_in_one_file(asset, tmp_path):
+    done = asset("check", "part.stl", "bowl", "part.obj", "--pictures", str(tmp_path / "pictures"))
+    assert str(done.exception).startswith("'part.stl' and 'part.obj' would both be drawn to '")
+    assert "name them in two commands" in str(done.exception)
+    assert not (tmp_path / "pictures").exists()
+
+
 def test_check_without_names_checks_what_is_here(asset):
     done = asset("check")
     assert done.exit_code == 0
