@@ -51,7 +51,7 @@ BUNDLE_LIMITS = {
 @cache
 def encoding(kind: type[Message]) -> str:
     """The encoding that a message of this kind travels with."""
-    return f"application/msgpack;qdgrasp.{kind.__name__.lower()}.v1"
+    return f"application/msgpack;qdgrasp.{kind.wire_name}.v1"
 
 
 def encode(message: Message) -> bytes:
@@ -73,7 +73,7 @@ def decode(payload: bytes, kind: type[M]) -> M:
     try:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
-        raise MessageError(f"not a {kind.__name__.lower()}: {printable(str(error), MAX_REASON)}") from None
+        raise MessageError(f"not a {kind.wire_name}: {printable(str(error), MAX_REASON)}") from None
 
 
 def decoded(sample: "Sample", kind: type[M]) -> M:

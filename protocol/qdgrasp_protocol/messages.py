@@ -4,7 +4,7 @@ Field names are the wire's names. Arrays travel as one little-endian blob each (
 carry rows hold them in `columns`, by the names of `rows.COLUMNS`.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta, Struct
 
@@ -34,13 +34,18 @@ def short(text: str) -> str:
 
 
 class Message(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The root of all messages."""
+    """The root of all messages. Each kind has a name on the wire, which stays when the class gets another."""
+
+    wire_name: ClassVar[str]
+    """What the encoding of this kind of message is called by."""
 
     v: Annotated[int, Meta(ge=1, le=VERSION)] = VERSION
 
 
 class Work(Message, frozen=True, kw_only=True):
     """Coordinator to worker: a leased batch, rows of one generation of one run."""
+
+    wire_name = "work"
 
     epoch: Count
     run: Name
@@ -68,6 +73,8 @@ class Failure(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Result(Message, frozen=True, kw_only=True):
     """Worker to coordinator: what a batch found."""
 
+    wire_name = "result"
+
     epoch: Count
     run: Name
     generation: Count
@@ -86,6 +93,8 @@ class Result(Message, frozen=True, kw_only=True):
 class Join(Message, frozen=True, kw_only=True):
     """Worker to coordinator, query: serve this job."""
 
+    wire_name = "join"
+
     versions: list[Count]
     wid: Wid
     number: Count
@@ -103,12 +112,16 @@ class Join(Message, frozen=True, kw_only=True):
 class Joined(Message, frozen=True, kw_only=True):
     """The answer to a join."""
 
+    wire_name = "joined"
+
     epoch: Count
     drop: list[BatchId]
 
 
 class Control(Message, frozen=True, kw_only=True):
     """Coordinator to worker: drop batches that another worker has settled, or leave the job."""
+
+    wire_name = "control"
 
     epoch: Count
     drop: list[BatchId] = []
@@ -118,6 +131,8 @@ class Control(Message, frozen=True, kw_only=True):
 
 class Order(Message, frozen=True, kw_only=True):
     """Whoever administers a job to its coordinator, query: what to do with it."""
+
+    wire_name = "order"
 
     act: Literal["pause", "continue", "cancel", "drain"]
     worker: Annotated[str, Meta(pattern=r"\A[0-9a-f]{0,32}\Z")] = ""
@@ -129,12 +144,16 @@ class Order(Message, frozen=True, kw_only=True):
 class Done(Message, frozen=True, kw_only=True):
     """The answer to an order."""
 
+    wire_name = "done"
+
     words: Text
     """What happened, in a sentence for a person."""
 
 
 class Chunk(Message, frozen=True, kw_only=True):
     """The answer to one query for a piece of a scene bundle."""
+
+    wire_name = "chunk"
 
     total: Annotated[int, Meta(ge=1, le=4096)]
     """How many chunks the bundle has."""
@@ -143,6 +162,8 @@ class Chunk(Message, frozen=True, kw_only=True):
 
 class Recordable(Message, frozen=True, kw_only=True):
     """Consecutive rows of a run in journal order, settled: to the recorder, and back at replay."""
+
+    wire_name = "recordable"
 
     epoch: Count
     run: Name
@@ -162,6 +183,8 @@ class Recordable(Message, frozen=True, kw_only=True):
 
 class Recorded(Message, frozen=True, kw_only=True):
     """Recorder to coordinator: how many rows of a run are durable."""
+
+    wire_name = "recorded"
 
     epoch: Count
     run: Name
@@ -185,6 +208,8 @@ class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Open(Message, frozen=True, kw_only=True):
     """Coordinator to recorder, query: opens runs of a job."""
 
+    wire_name = "open"
+
     job: Name
     runs: list[OpenRun]
     epoch: Count = 0
@@ -193,6 +218,8 @@ class Open(Message, frozen=True, kw_only=True):
 
 class Opened(Message, frozen=True, kw_only=True):
     """The answer: the coordinator's epoch and the durable number of each run, in the order asked."""
+
+    wire_name = "opened"
 
     epoch: Count
     durable: list[Count]
@@ -205,12 +232,16 @@ class Opened(Message, frozen=True, kw_only=True):
 class Platform(Message, frozen=True, kw_only=True):
     """Coordinator to recorder: the platform of this job's rows, known once the first worker joined."""
 
+    wire_name = "platform"
+
     epoch: Count
     platform: dict[str, str]
 
 
 class Log(Message, frozen=True, kw_only=True):
     """Query to the recorder: recorded rows of a run from number `first` on, at most `limit`."""
+
+    wire_name = "log"
 
     run: Name
     first: Count
@@ -219,6 +250,8 @@ class Log(Message, frozen=True, kw_only=True):
 
 class Finds(Message, frozen=True, kw_only=True):
     """The answer to a query on `rec/finds`: successes of a run in journal order."""
+
+    wire_name = "finds"
 
     run: Name
     """Its name in its job."""

@@ -69,6 +69,11 @@ def test_every_kind_has_an_encoding_of_its_own() -> None:
     assert codec.encoding(Result) == "application/msgpack;qdgrasp.result.v1"
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_message_says_its_name_on_the_wire_itself(kind: type[Message]) -> None:
+    assert vars(kind)["wire_name"]
+
+
 @settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(ANY_MESSAGE, st.integers(0, 2**32))
 def test_what_was_altered_on_the_way_is_a_message_or_a_message_error(original: Message, seed: int) -> None:
