@@ -253,19 +253,25 @@ class Finds(Message, frozen=True, kw_only=True):
 
     wire_name = "finds"
 
-    run: Name
-    """Its name in its job."""
-    scene: Digest
-    """sha256 of the run's scene bundle."""
-    began: float
-    """When the journal was begun [s since 1970]: another one of the same name has other rows."""
-    next: Count
-    """The journal number from which to ask on."""
-    rows: Count
-    """How many rows the journal has; with `next` there, these are all the successes so far."""
-    n: Annotated[int, Meta(ge=0, le=4096)]
-    """How many finds these are."""
-    joints: Width
-    """Finger joints of the hand."""
-    columns: dict[str, bytes]
-    """Each of `finds.COLUMNS` by its name, little-endian."""
+    run: Annotated[Name, Meta(description="Its name in its job.")]
+    scene: Annotated[Digest, Meta(description="sha256 of the run's scene bundle.")]
+    began: Annotated[
+        float,
+        Meta(
+            description="When the journal was begun [s since 1970]: "
+            "another one of the same name has other rows."
+        ),
+    ]
+    next: Annotated[Count, Meta(description="The journal number from which to ask on.")]
+    rows: Annotated[
+        Count,
+        Meta(
+            description="How many rows the journal has; with `next` there, "
+            "these are all the successes so far."
+        ),
+    ]
+    n: Annotated[int, Meta(ge=0, le=4096, description="How many finds these are.")]
+    joints: Annotated[Width, Meta(description="Finger joints of the hand.")]
+    columns: Annotated[
+        dict[str, bytes], Meta(description="Each of `finds.COLUMNS` by its name, little-endian.")
+    ]

@@ -84,7 +84,7 @@ KINDS = [
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 SHOWN = (Figures, JobFigures, TeamFigures, JobMeta, Event, Events, Curve, RunEntries, Sign)
 CONSUMERS: dict[str, Consumer] = {
-    **{kind.__name__.lower(): OWN.get(kind, plain(kind)) for kind in KINDS},
+    **{kind.wire_name: OWN.get(kind, plain(kind)) for kind in KINDS},
     **{kind.__name__.lower(): shown(kind) for kind in SHOWN},
 }
 """By the kind of message."""
@@ -116,7 +116,7 @@ def seeds() -> dict[str, bytes]:
             "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
         },
     }
-    made = {kind.__name__.lower(): codec.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
+    made = {kind.wire_name: codec.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
     return made | {kind.__name__.lower(): to_json(_shown(kind)) for kind in SHOWN}
 
 
@@ -127,6 +127,8 @@ def _shown(kind: Any) -> Any:
 
 def _value(kind: Any) -> Any:
     match kind:
+        case msgspec.inspect.Metadata(type=inner):
+            return _value(inner)
         case msgspec.inspect.StructType(cls=cls, fields=fields):
             return cls(**{field.name: _value(field.type) for field in fields})
         case msgspec.inspect.UnionType(types=types):

@@ -68,10 +68,14 @@ def example(kind: type[msgspec.Struct]) -> Any:
 
 def _value(kind: msgspec.inspect.Type, numbers: Iterator[int]) -> Any:
     match kind:
+        case msgspec.inspect.Metadata(type=inner):
+            return _value(inner, numbers)
         case msgspec.inspect.IntType(le=most):
             return next(numbers) if most is None else min(next(numbers), most)
         case msgspec.inspect.FloatType():
             return next(numbers) + 0.5
+        case msgspec.inspect.BoolType():
+            return True
         case msgspec.inspect.StrType(pattern=pattern):
             return next(text for text in WORDS if pattern is None or fullmatch(pattern, text))
         case msgspec.inspect.LiteralType(values=values):
@@ -92,8 +96,9 @@ def _value(kind: msgspec.inspect.Type, numbers: Iterator[int]) -> Any:
 
 
 def _field(field: msgspec.inspect.Field, numbers: Iterator[int]) -> Any:
-    is_flag = isinstance(field.type, msgspec.inspect.BoolType)
-    return field.default is not True if is_flag else _value(field.type, numbers)
+    """A value of a field that is not its default."""
+    value = _value(field.type, numbers)
+    return not field.default if field.default is value is True else value
 
 
 def _keys(keys: Keys) -> Iterator[str]:

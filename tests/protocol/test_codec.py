@@ -24,6 +24,8 @@ KINDS = [
 def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
     """Values that a field's type allows."""
     match kind:
+        case msgspec.inspect.Metadata():
+            return values(kind.type)
         case msgspec.inspect.IntType():
             return st.integers(kind.ge or 0, kind.le)
         case msgspec.inspect.FloatType():

@@ -1,8 +1,8 @@
 """The curve of a run: how its counts grew, in points few enough to be shown at once."""
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 POINTS = 512
 """The most points of a curve."""
@@ -35,25 +35,24 @@ class Counts(Protocol):
 class Point(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
-    evaluations: int
-    """Counted evaluations."""
-    proposals: int
-    """Poses that decoding screened, simulated or not."""
-    successes: int
-    """A finger touches the object after closing."""
-    cells: int
-    """Distinct 1 cm cells with a success."""
-    robust: int
-    """Successes that survived both shakes: fitness 2."""
+    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
+    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
+    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
+    cells: Annotated[int, Meta(description="Distinct 1 cm cells with a success.")]
+    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
 
 
 class Curve(Struct, frozen=True, kw_only=True):
     """How the counts of a run grew. JSON, the answer to a query on `stat/curve/<run>`."""
 
-    run: str
-    """Its name in its job."""
-    points: list[Point]
-    """At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust."""
+    run: Annotated[str, Meta(description="Its name in its job.")]
+    points: Annotated[
+        list[Point],
+        Meta(
+            description="At most 512, at evenly spaced generations: "
+            "evaluations, proposals, successes, cells, robust."
+        ),
+    ]
 
 
 class Trail:

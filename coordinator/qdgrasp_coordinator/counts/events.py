@@ -15,22 +15,21 @@ EventKind = Literal["job", "run", "worker", "recorder", "trouble", "error"]
 class Event(Struct, frozen=True, kw_only=True):
     """Something that happened. Travels as JSON on `event/<kind>`."""
 
-    number: int
-    """Counts the events of one coordinator process, from 1."""
-    at: Annotated[datetime, Meta(tz=True)]
-    """When."""
-    kind: EventKind
-    """job, run, worker, recorder; trouble keeps a job from going on; error: a row or run is given up."""
-    words: str
-    """What, in a sentence for a person."""
-    run: str = ""
-    """Which run it is about; empty: none."""
-    worker: str = ""
-    """Which worker (its `wid`) it is about; empty: none."""
+    number: Annotated[int, Meta(description="Counts the events of one coordinator process, from 1.")]
+    at: Annotated[datetime, Meta(tz=True, description="When.")]
+    kind: Annotated[
+        EventKind,
+        Meta(
+            description="job, run, worker, recorder; trouble keeps a job from going on; "
+            "error: a row or run is given up."
+        ),
+    ]
+    words: Annotated[str, Meta(description="What, in a sentence for a person.")]
+    run: Annotated[str, Meta(description="Which run it is about; empty: none.")] = ""
+    worker: Annotated[str, Meta(description="Which worker (its `wid`) it is about; empty: none.")] = ""
 
 
 class Events(Struct, frozen=True, kw_only=True):
     """The latest events, eldest first, at most `KEPT`. JSON, the answer to a query on `event/recent`."""
 
-    events: list[Event]
-    """At most 200, eldest first."""
+    events: Annotated[list[Event], Meta(description="At most 200, eldest first.")]

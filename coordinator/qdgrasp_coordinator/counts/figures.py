@@ -20,16 +20,13 @@ PATIENCE = 30.0  # seconds in which a job that has no recorder yet is taken to b
 class Figures(RunEntry, frozen=True, kw_only=True):
     """How far a run in progress is. Travels as JSON on `stat/run/<run>`."""
 
-    workers: int
-    """Workers of the job that are there, and make progress."""
-    durable: int
-    """Rows that the recorder reports to be on disk."""
-    seconds: float
-    """Since the coordinator opened the run [s]."""
-    rate: float
-    """Counted evaluations since then, replayed ones apart [1/s]."""
-    trouble: str = ""
-    """What keeps the run from going on, in words; empty when nothing does."""
+    workers: Annotated[int, Meta(description="Workers of the job that are there, and make progress.")]
+    durable: Annotated[int, Meta(description="Rows that the recorder reports to be on disk.")]
+    seconds: Annotated[float, Meta(description="Since the coordinator opened the run [s].")]
+    rate: Annotated[float, Meta(description="Counted evaluations since then, replayed ones apart [1/s].")]
+    trouble: Annotated[
+        str, Meta(description="What keeps the run from going on, in words; empty when nothing does.")
+    ] = ""
 
     @property
     def remaining(self) -> int:
@@ -50,38 +47,51 @@ class Figures(RunEntry, frozen=True, kw_only=True):
 class JobFigures(Totals, frozen=True, kw_only=True):
     """How far a job is with all of its runs. Travels as JSON on `stat/job`."""
 
-    job: str
-    """Its name."""
-    runs: int
-    """Of the job, begun or not."""
-    runs_done: int
-    """Finished and recorded, also by earlier coordinators."""
-    runs_failed: int
-    """Which cannot be carried out."""
-    runs_open: int
-    """In progress."""
-    budget: int
-    """Counted evaluations after which all runs are over."""
-    remaining: int
-    """Counted evaluations that runs which are not over may still take; those that end early take fewer."""
-    waiting: int = 0
-    """Settled rows that are not known to be on disk: how far the recorder is behind."""
-    requeued: int = 0
-    """Batches that were queued again, as their worker was lost, in this coordinator's turn."""
-    strays: int = 0
-    """Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."""
-    workers: int
-    """Workers that are there, and make progress."""
-    seconds: float
-    """Since the coordinator started [s]."""
-    rate: float
-    """Counted evaluations since then, replayed ones apart [1/s]."""
-    trouble: str = ""
-    """What keeps the job from going on, in words; empty when nothing does."""
-    state: str = "running"
-    """"starting" (no recorder has answered yet), "running", "paused", "ending", or at last "cancelled"."""
-    recorders: int = 0
-    """Recorders of this job that are there."""
+    job: Annotated[str, Meta(description="Its name.")]
+    runs: Annotated[int, Meta(description="Of the job, begun or not.")]
+    runs_done: Annotated[int, Meta(description="Finished and recorded, also by earlier coordinators.")]
+    runs_failed: Annotated[int, Meta(description="Which cannot be carried out.")]
+    runs_open: Annotated[int, Meta(description="In progress.")]
+    budget: Annotated[int, Meta(description="Counted evaluations after which all runs are over.")]
+    remaining: Annotated[
+        int,
+        Meta(
+            description="Counted evaluations that runs which are not over may still take; "
+            "those that end early take fewer."
+        ),
+    ]
+    waiting: Annotated[
+        int,
+        Meta(description="Settled rows that are not known to be on disk: how far the recorder is behind."),
+    ] = 0
+    requeued: Annotated[
+        int,
+        Meta(
+            description="Batches that were queued again, as their worker was lost, "
+            "in this coordinator's turn."
+        ),
+    ] = 0
+    strays: Annotated[
+        int,
+        Meta(
+            description="Results that were dropped in this turn: "
+            "late, duplicate, unknown, or of somebody else's batch."
+        ),
+    ] = 0
+    workers: Annotated[int, Meta(description="Workers that are there, and make progress.")]
+    seconds: Annotated[float, Meta(description="Since the coordinator started [s].")]
+    rate: Annotated[float, Meta(description="Counted evaluations since then, replayed ones apart [1/s].")]
+    trouble: Annotated[
+        str, Meta(description="What keeps the job from going on, in words; empty when nothing does.")
+    ] = ""
+    state: Annotated[
+        str,
+        Meta(
+            description='"starting" (no recorder has answered yet), "running", "paused", "ending", '
+            'or at last "cancelled".'
+        ),
+    ] = "running"
+    recorders: Annotated[int, Meta(description="Recorders of this job that are there.")] = 0
 
     @property
     def words(self) -> str:
@@ -120,24 +130,19 @@ class JobFigures(Totals, frozen=True, kw_only=True):
 class JobMeta(Struct, frozen=True, kw_only=True):
     """What a job is and who carries it out. Travels as JSON on `meta` when a coordinator begins its turn."""
 
-    job: str
-    """Its name."""
-    epoch: int
-    """The coordinator's turn; 0 before it has one: no recorder has answered yet."""
-    since: Annotated[datetime, Meta(tz=True)]
-    """When this coordinator started."""
-    host: str
-    """The coordinator's."""
-    pid: int
-    """Of the coordinator's process."""
-    version: str
-    """Of qdgrasp."""
-    runs: int
-    """Of the job, begun or not."""
-    budget: int
-    """Counted evaluations after which all runs are over."""
-    identity: str = ""
-    """What tells the job from another one of its name; empty: it is not known."""
+    job: Annotated[str, Meta(description="Its name.")]
+    epoch: Annotated[
+        int, Meta(description="The coordinator's turn; 0 before it has one: no recorder has answered yet.")
+    ]
+    since: Annotated[datetime, Meta(tz=True, description="When this coordinator started.")]
+    host: Annotated[str, Meta(description="The coordinator's.")]
+    pid: Annotated[int, Meta(description="Of the coordinator's process.")]
+    version: Annotated[str, Meta(description="Of qdgrasp.")]
+    runs: Annotated[int, Meta(description="Of the job, begun or not.")]
+    budget: Annotated[int, Meta(description="Counted evaluations after which all runs are over.")]
+    identity: Annotated[
+        str, Meta(description="What tells the job from another one of its name; empty: it is not known.")
+    ] = ""
 
 
 def _done(evaluations: int, remaining: int) -> float:

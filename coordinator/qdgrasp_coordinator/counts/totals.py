@@ -1,6 +1,8 @@
 """Totals: what the rows of runs add up to, whoever shows it of one run or of many."""
 
-from msgspec import Struct
+from typing import Annotated
+
+from msgspec import Meta, Struct
 
 from qdgrasp_coordinator.counts.tally import Tally
 from qdgrasp_protocol.phrases import counted
@@ -9,28 +11,31 @@ from qdgrasp_protocol.phrases import counted
 class Totals(Struct, frozen=True, kw_only=True):
     """What counts of a run add up to its job's, and the first part of whatever shows them."""
 
-    evaluations: int
-    """Counted evaluations."""
-    simulated: int
-    """Genomes whose hand closed."""
-    proposals: int
-    """Poses that decoding screened, simulated or not."""
-    overlaps: int
-    """Genomes whose open hand overlapped the object; where a genome has candidates, all of them."""
-    dead_ends: int
-    """Genomes for which there was no pose, or none worth a simulation."""
-    successes: int
-    """A finger touches the object after closing."""
-    grasps: int
-    """Successes that survived a shake: fitness 1 or more."""
-    robust: int
-    """Successes that survived both shakes: fitness 2."""
-    errors: int
-    """Rows on which the simulator failed three times, trials included."""
-    cells: int
-    """Distinct 1 cm cells with a success; of a job their sum over its runs."""
-    trials: int
-    """Rows that are trials of successes; 0 where no protocol has them."""
+    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
+    simulated: Annotated[int, Meta(description="Genomes whose hand closed.")]
+    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
+    overlaps: Annotated[
+        int,
+        Meta(
+            description="Genomes whose open hand overlapped the object; "
+            "where a genome has candidates, all of them."
+        ),
+    ]
+    dead_ends: Annotated[
+        int, Meta(description="Genomes for which there was no pose, or none worth a simulation.")
+    ]
+    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
+    grasps: Annotated[int, Meta(description="Successes that survived a shake: fitness 1 or more.")]
+    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
+    errors: Annotated[
+        int, Meta(description="Rows on which the simulator failed three times, trials included.")
+    ]
+    cells: Annotated[
+        int, Meta(description="Distinct 1 cm cells with a success; of a job their sum over its runs.")
+    ]
+    trials: Annotated[
+        int, Meta(description="Rows that are trials of successes; 0 where no protocol has them.")
+    ]
 
     @property
     def found(self) -> str:
