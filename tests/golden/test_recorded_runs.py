@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.golden.runs import RECORDED, carry_out, command, digest, golden
 
 import qdgrasp
 from qdgrasp import Outcome
+from qdgrasp_worker.platform import code_digest
 
 SUCCESSES = [outcome for outcome in Outcome if outcome.is_success]
 
@@ -57,7 +59,22 @@ def test_every_row_is_verified_as_of_this_platform(name: str, rows: int, home: P
     assert [origin["differences"] for origin in told["origins"]] == [""]
 
 
+def test_the_code_of_today_is_known_to_give_the_same_bits() -> None:
+    """Where the probes and the other tests here agree, its digest goes into `FIRST_RECORDED_AS`."""
+    with sqlite3.connect(f"file:{RECORDED / 'begun' / 'run.sqlite'}?immutable=1", uri=True) as database:
+        (told,) = database.execute("SELECT value FROM meta WHERE name = 'platform'").fetchone()
+    assert json.loads(told)["code"] == code_digest()
+    assert json.loads(told)["probes"] == golden()["probes"]
+
+
 @pytest.mark.usefixtures("same_platform")
-def test_a_run_that_was_begun_is_gone_on_with_to_the_same_end(home: Path, recorded_digest: str) -> None:
+@pytest.mark.parametrize("version", ["0.1.0", "0.0.9"])
+def test_a_run_that_was_begun_by_any_version_is_gone_on_with(
+    version: str, home: Path, recorded_digest: str
+) -> None:
+    with sqlite3.connect(home / "begun" / "run.sqlite") as database:
+        change = "UPDATE meta SET value = replace(value, '0.1.0', ?) WHERE name = 'platform'"
+        database.execute(change, (version,))
     carry_out(home, "resume", "begun")
     assert digest(home / "begun") == recorded_digest
+    assert qdgrasp.open(home / "begun").summary.platform["qdgrasp"] == version

@@ -4,6 +4,9 @@ from collections.abc import Mapping
 
 from qdgrasp_protocol.errors import Refused
 
+VERSION = "qdgrasp"
+"""The version of this package: recorded and told, not compared. The evaluation has its own digest."""
+
 
 class PlatformDiffers(Refused):
     """A worker's platform is not the one that the job's rows come from."""
@@ -13,11 +16,13 @@ class PlatformDiffers(Refused):
 
 
 def differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
-    """What another platform has instead of the job's, in words."""
+    """What another platform has instead of the job's, in words; empty where results have the same bits."""
+    differing = [name for name in sorted({*job, *other}) if job.get(name) != other.get(name)]
+    if differing == [VERSION]:
+        return ""
     return ", ".join(
         f"{name} {other.get(name, 'absent')[:24]} instead of {job.get(name, 'absent')[:24]}"
-        for name in sorted({*job, *other})
-        if job.get(name) != other.get(name)
+        for name in differing
     )
 
 
@@ -29,6 +34,6 @@ def admit(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[str, str]:
     PlatformDiffers
         Another platform was there first; what differs is named.
     """
-    if job and dict(job) != dict(worker):
+    if job and differences(job, worker):
         raise PlatformDiffers(job, worker)
-    return dict(worker)
+    return dict(job or worker)

@@ -61,6 +61,6 @@ def compared(recorded: Mapping[str, str], now: Mapping[str, str]) -> str:
     """How two platforms differ, in a sentence."""
     if not recorded:
         return UNKNOWN
-    if dict(recorded) == dict(now):
+    if not (differing := platforms.differences(recorded, now)):
         return SAME
-    return f"It was recorded on another platform; here is {platforms.differences(recorded, now)}."
+    return f"It was recorded on another platform; here is {differing}."

@@ -191,10 +191,9 @@ class Books:
         for run in asked.runs:
             ledger = self._find(run.run)
             recorded = ledger.platform if ledger else {}
-            if platform and recorded and platform != recorded:
+            if platform and recorded and (differing := differences(platform, recorded)):
                 raise Refused(
-                    f"run '{run.run}' was recorded on another platform than the job's rows: "
-                    f"{differences(platform, recorded)}"
+                    f"run '{run.run}' was recorded on another platform than the job's rows: {differing}"
                 )
             platform = platform or recorded
         return platform
