@@ -1,7 +1,7 @@
 """Convex parts of a mesh: as few as leave a finger the room that it has in front of the mesh itself.
 
 One hull where that will do, else what CoACD finds, coarse to fine; kept on disk
-(docs/decisions/parts-leave-room.md).
+(docs/decisions/0008-collision-decomposition.md).
 """
 
 import hashlib

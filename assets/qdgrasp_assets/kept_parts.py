@@ -1,6 +1,7 @@
 """Convex parts kept on disk: an OBJ file that ends with the digest of what stands before, or counts as none.
 
-The last line is a remark, which readers of OBJ files leave aside (docs/decisions/parts-leave-room.md).
+The last line is a remark, which readers of OBJ files leave aside
+(docs/decisions/0008-collision-decomposition.md).
 """
 
 import hashlib

@@ -1,7 +1,8 @@
 """The room around an object: where a finger finds space, and how much of it convex parts would fill.
 
 Convex parts stand for a mesh in the simulator. What they fill beyond it, no finger can reach: the hollow of
-a mug and the eye of its handle are what most of its grasps need (docs/decisions/parts-leave-room.md).
+a mug and the eye of its handle are what most of its grasps need
+(docs/decisions/0008-collision-decomposition.md).
 """
 
 from dataclasses import dataclass

@@ -24,7 +24,7 @@ SETTINGS: Settings = {
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
 }
-"""What every session is opened with (docs/decisions/sessions-on-the-bus.md)."""
+"""What every session is opened with (docs/decisions/0003-bus-sessions-and-access.md)."""
 RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 FOREVER = -1
 

@@ -2,8 +2,9 @@
 
 `python -m tests.benchmarks.parts [OBJECT ...] [--thresholds T ...]`. The stand-ins are made of convex parts
 that enclose the same space as their surface: they say what is lost when CoACD cuts that surface into parts,
-and what the rule of `qdgrasp_assets.room` makes of it (docs/decisions/parts-leave-room.md). Scans are held
-against the hulls of the reference data. Contacts are chaotic: the finest threshold says how much is chance.
+and what the rule of `qdgrasp_assets.room` makes of it (docs/decisions/0008-collision-decomposition.md). Scans
+are held against the hulls of the reference data. Contacts are chaotic: the finest threshold says how much is
+chance.
 """
 
 import argparse

@@ -1,5 +1,6 @@
 """The reference hands against the verdicts of the authors' own code, pose by pose, and the built-in hands
-against the reference hands on the same poses; protocol `released` (data/README.md, docs/decisions/hands.md).
+against the reference hands on the same poses; protocol `released` (data/README.md,
+docs/decisions/0009-grippers-and-inference.md).
 """
 
 from dataclasses import dataclass

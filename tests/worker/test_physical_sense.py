@@ -144,7 +144,7 @@ def test_a_grasp_on_a_sphere_keeps_its_verdict_when_the_sphere_turns(ball, on_ba
 
 def test_a_grasp_on_a_sphere_keeps_its_verdict_when_hand_and_sphere_turn_together(ball, on_ball, turns):
     # Those that differ are lost or slip: Bullet's friction acts along two directions that it derives from the
-    # axes of the world (docs/decisions/evaluation.md).
+    # axes of the world (docs/decisions/0006-evaluation-semantics.md).
     poses, verdicts = on_ball
     turned = [turned_pose(pose, turn) for pose, turn in zip(poses, turns, strict=True)]
     assert agreement(outcomes(World(ball), turned), verdicts) >= AGREEMENT

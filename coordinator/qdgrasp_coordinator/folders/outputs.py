@@ -1,9 +1,9 @@
 """Outputs: files and folders that a command writes because it was told where.
 
-One rule for all of them (docs/decisions/outputs-appear-whole.md). Whether they can be written is looked at
-before the work for them is begun. What is there stays, unless it is to be replaced by `--force`; what is part
-of a run always stays. Folders on the way are made when there is something to write. An output appears whole
-or not at all.
+One rule for all of them (docs/decisions/0012-outputs-and-exports.md). Whether they can be written is looked
+at before the work for them is begun. What is there stays, unless it is to be replaced by `--force`; what is
+part of a run always stays. Folders on the way are made when there is something to write. An output appears
+whole or not at all.
 """
 
 import os
