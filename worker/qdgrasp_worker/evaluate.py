@@ -51,7 +51,8 @@ class Evaluator:
     """One Bullet world for one scene; a context manager that leaves it.
 
     `shortcuts` says whether poses that surely overlap, or surely miss, are spared the simulator, and whether
-    closing ends when the object has left; they change no result (docs/decisions/shortcuts.md).
+    closing ends when the object has left; they change no result
+    (docs/decisions/0007-evaluation-shortcuts.md).
 
     An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
     batch, or of the process (docs/reproducibility.md).
