@@ -24,13 +24,13 @@ help:
 	@echo "make clean   remove the environment and the caches of the tools"
 
 demo: $(VENV)/.installed
-	@$(BIN)/python -m qdgrasp_coordinator.cli.demo
+	@$(BIN)/python -m examples.demo
 
 test: $(VENV)/.ready
-	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow" --ignore=tests/benchmarks
+	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"
 
 test-slow: $(VENV)/.ready
-	$(BIN)/python -m pytest -m slow --ignore=tests/benchmarks
+	$(BIN)/python -m pytest -m slow
 
 test-docs: $(VENV)/.ready
 	$(BIN)/python -m pytest tests/docs tests/examples
@@ -57,16 +57,16 @@ simulate-curves: $(VENV)/.ready
 	@$(BIN)/python -m tests.simulation --curves docs/simulation
 
 bench: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks --out runs/bench
+	@$(BIN)/python -m benchmarks --out runs/bench
 
 scale: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks.scale --out runs/scale.json
+	@$(BIN)/python -m benchmarks.scale --out runs/scale.json
 
 results: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks.results run $(addprefix --accept ,$(ACCEPT))
+	@$(BIN)/python -m benchmarks.results run $(addprefix --accept ,$(ACCEPT))
 
 results-page: $(VENV)/.ready
-	@$(BIN)/python -m tests.benchmarks.results page
+	@$(BIN)/python -m benchmarks.results page
 
 # Versions that are locked stay unless they must change; UPGRADE=--upgrade takes the latest.
 LOCK = $(BIN)/uv pip compile --quiet --generate-hashes --only-binary :all: --python-version 3.11 --python-platform linux \

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests import patience
+from tests import common
 
 PLACES = (Path("/usr/bin/chromium"), Path("/usr/bin/chromium-browser"))
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
-PATIENCE = 1000 * patience.PATIENCE  # ms
+PATIENCE = 1000 * common.PATIENCE  # ms
 KNOWN = ("net::ERR_CONNECTION", "net::ERR_INCOMPLETE", "status of 401", "status of 503", "GPU stall")
 """What a browser complains of where a server is away, a token is asked for, or no graphics card is there."""
 

@@ -4,41 +4,39 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.files import A_FOLDER, NOT_THERE, amiss, named_path, searched
-from qdgrasp_assets.gripper import Gripper, read_gripper
-from qdgrasp_assets.gripper_file import read_gripper_file
-from qdgrasp_assets.mesh_file import check_file
-from qdgrasp_assets.objects.stand_ins import LICENCE, STAND_INS, stand_in
-from qdgrasp_assets.scene import Scene
-from qdgrasp_assets.surface import SURFACES
-from qdgrasp_assets.target import Target, read_target
-from qdgrasp_assets.vectors import vector
+from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, named_path, path_problem, searched
+from qdgrasp_assets.geometry.mesh_io import check_file
+from qdgrasp_assets.geometry.surface_points import SURFACES
+from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
+from qdgrasp_assets.grippers.gripper_file import read_gripper_file
+from qdgrasp_assets.object_model import ObjectModel, read_object
+from qdgrasp_assets.scene import Scene, vector
+from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 GRIPPERS = Path(__file__).parent / "grippers"
 ABSENT = "absent"
-REFERENCE = "ref_"
-"""What the names of the reference hands begin with."""
+REFERENCE = "ref_"  # Prefix of the names of the reference hands
 
 
 @dataclass(frozen=True)
-class Listing:
+class CatalogEntry:
     """One line of the catalog."""
 
     name: str
     source: str
-    """Where it is: "built in", "asset path", "fetched" or "absent"."""
+    """"built in", "asset path", "fetched" or "absent"."""
     licence: str
 
     @property
     def is_there(self) -> bool:
-        """Whether it can be used."""
+        """True if it can be used here."""
         return self.source != ABSENT
 
 
 def build_scene(spec: RunSpec) -> Scene:
-    """The scene that a run's spec names; the same spec and files give the same scene, bit for bit.
+    """Build the scene of a run's spec; the same spec and files give the same bits.
 
     Raises
     ------
@@ -66,7 +64,7 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def find_gripper(name: str) -> Gripper:
-    """The gripper of the catalog with this name, or the one whose TOML file this is.
+    """Return the gripper of the catalog with this name, or the one of this TOML file.
 
     Reference hands keep the masses that their authors left to the simulator.
 
@@ -84,7 +82,7 @@ def find_gripper(name: str) -> Gripper:
 
 
 def gripper_path(name: str) -> Path:
-    """The TOML file of the gripper of the catalog with this name, or the one that the name is the path of.
+    """Return the path of a gripper's TOML file, from its name in the catalog or its path.
 
     Raises
     ------
@@ -101,8 +99,8 @@ def gripper_path(name: str) -> Path:
     return path
 
 
-def find_object(spec: RunSpec) -> Target:
-    """The object that a spec names, with the spec's mass and friction.
+def find_object(spec: RunSpec) -> ObjectModel:
+    """Return the object that a spec names, with the spec's mass and friction.
 
     Raises
     ------
@@ -117,19 +115,19 @@ def find_object(spec: RunSpec) -> Target:
     return target
 
 
-def _find_target(spec: RunSpec) -> Target:
+def _find_target(spec: RunSpec) -> ObjectModel:
     name = spec.object
-    if spec.scale is not None and (name in STAND_INS or name in ycb.SCANS):
+    if spec.scale is not None and (name in STAND_INS or name in ycb.SCAN_NAMES):
         raise AssetError(
             f"The object '{name}' of the catalog has its own size: leave --scale and --units out, which are "
             "for mesh files."
         )
     if name in STAND_INS:
         return stand_in(name)
-    if name in ycb.SCANS:
+    if name in ycb.SCAN_NAMES:
         return ycb.read_scan(name, spec.protocol)
     check_object(name)
-    return read_target(named_path(name), spec.mass, spec.scale)
+    return read_object(named_path(name), spec.mass, spec.scale)
 
 
 def check_object(name: str) -> None:
@@ -143,9 +141,9 @@ def check_object(name: str) -> None:
         It is a scan's, which is not there, or a folder.
     """
     path = named_path(name)
-    if name in ycb.SCANS:
+    if name in ycb.SCAN_NAMES:
         ycb.check_there(name)
-    elif name not in STAND_INS and amiss(path) == A_FOLDER:
+    elif name not in STAND_INS and path_problem(path) == A_FOLDER:
         check_file(path)
     elif name not in STAND_INS and not _is_file(path):
         hint = f"Or name a mesh file, with its mass. Scans lie on the asset path ({searched()})."
@@ -153,40 +151,40 @@ def check_object(name: str) -> None:
 
 
 def gripper_names() -> tuple[str, ...]:
-    """The grippers that can be used here."""
+    """Return the names of the grippers that can be used here."""
     return tuple(listing.name for listing in grippers())
 
 
 def object_names() -> tuple[str, ...]:
-    """The objects that can be used here, mesh files apart."""
+    """Return the names of the objects that can be used here, without mesh files."""
     return tuple(listing.name for listing in objects())
 
 
-def grippers() -> tuple[Listing, ...]:
+def grippers() -> tuple[CatalogEntry, ...]:
     """The grippers whose files are there."""
     return tuple(listing for listing in every_gripper() if listing.is_there)
 
 
-def objects() -> tuple[Listing, ...]:
+def objects() -> tuple[CatalogEntry, ...]:
     """The stand-ins, and the scans that are there."""
     return tuple(listing for listing in every_object() if listing.is_there)
 
 
-def every_gripper() -> tuple[Listing, ...]:
+def every_gripper() -> tuple[CatalogEntry, ...]:
     """All grippers that this package knows, also those whose files are absent."""
     files = {path: read_gripper_file(path) for path in _gripper_files()}
     return tuple(
-        Listing(
+        CatalogEntry(
             path.stem, ABSENT if file.find_urdf(path) is None else _gripper_source(path.stem), file.licence
         )
         for path, file in files.items()
     )
 
 
-def every_object() -> tuple[Listing, ...]:
+def every_object() -> tuple[CatalogEntry, ...]:
     """All stand-ins and scans, also absent ones."""
-    own = tuple(Listing(name, "built in", LICENCE) for name in STAND_INS)
-    return own + tuple(Listing(name, ycb.source(name), ycb.LICENCE) for name in ycb.SCANS)
+    own = tuple(CatalogEntry(name, "built in", LICENCE) for name in STAND_INS)
+    return own + tuple(CatalogEntry(name, ycb.scan_source(name), ycb.LICENCE) for name in ycb.SCAN_NAMES)
 
 
 def _gripper_files() -> tuple[Path, ...]:
@@ -198,5 +196,5 @@ def _gripper_source(name: str) -> str:
 
 
 def _is_file(path: Path) -> bool:
-    """Whether a name means a file rather than an entry of the catalog."""
-    return bool(path.suffix) or len(path.parts) > 1 or amiss(path) != NOT_THERE
+    """Return whether a name means a file rather than an entry of the catalog."""
+    return bool(path.suffix) or len(path.parts) > 1 or path_problem(path) != NOT_THERE

@@ -16,22 +16,22 @@ def qdgrasp() -> None:
 
 def coordinator() -> None:
     """Entry point of `qdgrasp-coordinator`."""
-    _enter("qdgrasp_coordinator.cli.coordinator")
+    _enter("qdgrasp_coordinator.cli.coordinator_process")
 
 
 def monitor() -> None:
     """Entry point of `qdgrasp-monitor`."""
-    _enter("qdgrasp_coordinator.cli.monitor")
+    _enter("qdgrasp_coordinator.cli.monitor_process")
 
 
 def recorder() -> None:
     """Entry point of `qdgrasp-recorder`."""
-    _enter("qdgrasp_coordinator.cli.recorder")
+    _enter("qdgrasp_coordinator.cli.recorder_process")
 
 
 def router() -> None:
     """Entry point of `qdgrasp-router`."""
-    _enter("qdgrasp_coordinator.cli.router")
+    _enter("qdgrasp_coordinator.cli.router_process")
 
 
 def worker() -> None:

@@ -1,38 +1,79 @@
-"""Evaluations: rows of genomes, whenever a program wants some."""
+"""Evaluates genomes and hand poses whenever a program wants that."""
 
 import signal
 import tempfile
 import threading
+from concurrent.futures import Future
 from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Self, Unpack
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp.genomes import check_given, checked, layout_of
-from qdgrasp.lots import Lot, Lots
-from qdgrasp.places import HERE, Place, Quiet, check_place, opened
-from qdgrasp.scenery import Scenery, spec_of
+from qdgrasp.arguments import SceneArguments, check_fixed_poses, check_genomes, layout_of, spec_from_arguments
+from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
-from qdgrasp_coordinator.counts.scores import sums
-from qdgrasp_coordinator.runs.assignment import Assignment
-from qdgrasp_coordinator.runs.pipeline import Pipeline
-from qdgrasp_coordinator.runs.preparation import scene_shape
-from qdgrasp_coordinator.searches.given import Given
-from qdgrasp_coordinator.serving.record import Memory
-from qdgrasp_coordinator.watching.stage import Stage
+from qdgrasp_coordinator.local.session import LocalSession
+from qdgrasp_coordinator.metrics.scores import trial_sums
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, row_shape
+from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, HandPoses, PoseNames, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
-from qdgrasp_protocol.genome import GIVEN, Genomes
-from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.phrases import counted
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import GIVEN, Genomes, Rows, trial_count
 from qdgrasp_protocol.spec import to_toml
-from qdgrasp_protocol.trials import trials
+from qdgrasp_protocol.text import counted
 
-GENERATION = 4096
-"""Genomes that are handed out before the first result is waited for."""
+
+class GenomeRequest:
+    """Genomes that were asked for together, and what becomes of them."""
+
+    def __init__(self, assignment: RunPlan) -> None:
+        self.assignment = assignment
+        self.memory = MemorySink(assignment.shape)
+        self.rows: Future[Rows] = Future()
+        """Rows as in a journal, trials too."""
+
+    def look(self) -> None:
+        """See whether all of them are there."""
+        if self.assignment.pipeline.finished is not None and not self.rows.done():
+            self.rows.set_result(self.memory.rows)
+
+    def fail(self, why: BaseException) -> None:
+        """Tell whoever waits that there will be no rows."""
+        if not self.rows.done():
+            self.rows.set_exception(why)
+
+
+class GenomeRequests:
+    """A programme whose runs are made as somebody asks for them, until it is closed."""
+
+    def __init__(self) -> None:
+        self.extent = JobExtent.of({})
+        self._waiting: SimpleQueue[RunPlan | None] = SimpleQueue()
+
+    def put(self, assignment: RunPlan) -> None:
+        """Have it carried out."""
+        self._waiting.put(assignment)
+
+    def close(self) -> None:
+        """Ask for no more."""
+        self._waiting.put(None)
+
+    def next(self) -> RunPlan | None:
+        """The next one, waited for; None when there will be none."""
+        return self._waiting.get()
+
+    def put_back(self, run: str) -> None:
+        """What is kept in memory loses nothing."""
+
+
+GENERATION = 4096  # Genomes that are handed out before the first result is waited for
 
 
 class Evaluations:
@@ -66,21 +107,25 @@ class Evaluations:
     (2.0, (100, 7))
     """
 
-    def __init__(self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[Scenery]) -> None:
+    def __init__(
+        self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[SceneArguments]
+    ) -> None:
         check_place(place)
-        self.spec = spec_of(scenery)
+        self.spec = spec_from_arguments(scenery)
         self.scene = build_scene(self.spec)
         """The gripper and the object as they are simulated."""
         self.prior = prior
         self.layout = layout_of(self.scene, prior)
         """The genes: names, and what -1 and 1 stand for."""
         self._bundle = pack_scene(self.scene)
-        self._shape = scene_shape(self.scene, prior)
+        self._shape = row_shape(self.scene, prior)
         self.endpoint = ""
         """Where its bus is, within the with-block: other workers may join there, and `qdgrasp jobs` looks."""
         self._place = place
-        self._lots = Lots()
-        self._pending: list[Lot] = []  # asked for by this thread or that, looked after by the coordinator's
+        self._lots = GenomeRequests()
+        self._pending: list[
+            GenomeRequest
+        ] = []  # asked for by this thread or that, looked after by the coordinator's
         self._count = count(1)
         self._stop = Stop()
         self._doors: ExitStack | None = None
@@ -89,7 +134,7 @@ class Evaluations:
     def __enter__(self) -> Self:
         with ExitStack() as doors:
             logs = Path(doors.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
-            stage = doors.enter_context(opened(self._place, logs, Quiet()))
+            stage = doors.enter_context(open_place(self._place, logs, SilentProgress()))
             stage.hire_workers(self._place.hands)
             self.endpoint = stage.endpoint
             thread = threading.Thread(target=self._serve, args=(stage,), name="evaluations", daemon=True)
@@ -132,19 +177,19 @@ class Evaluations:
         """
         rows = self.journal(genomes, timeout)
         nominal: Rows = rows[rows["trial"] == 0]
-        nominal["fitness"] = sums(rows, trials(self.spec.protocol))
+        nominal["fitness"] = trial_sums(rows, trial_count(self.spec.protocol))
         return nominal
 
     def journal(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
         """The same with every row that a journal would have, trials too, and nominal fitness."""
         if self._doors is None:
             raise InputError("Evaluations are opened by a with-block: `with qdgrasp.Evaluations(...) as e:`.")
-        asked = checked(genomes, self.layout)
+        asked = check_genomes(genomes, self.layout)
         if not len(asked):
             return self._shape.empty(0)
         if self.prior == GIVEN:
-            check_given(asked, self.scene.gripper)
-        lot = Lot(self._assignment(asked))
+            check_fixed_poses(asked, self.scene.gripper)
+        lot = GenomeRequest(self._assignment(asked))
         self._pending.append(lot)
         self._lots.put(lot.assignment)
         if self._end is not None:
@@ -155,23 +200,23 @@ class Evaluations:
             genomes = counted(len(asked), "genome")
             raise TimeoutError(f"After {timeout:g} s there are not all rows of {genomes}.") from None
 
-    def _assignment(self, genomes: Genomes) -> Assignment:
+    def _assignment(self, genomes: Genomes) -> RunPlan:
         pipeline = Pipeline(
-            Given(genomes, GENERATION),
+            FixedPoseSearch(genomes, GENERATION),
             self._shape,
             evaluations=len(genomes),
             overlaps="count",
             generations_in_flight=2,
-            trials=trials(self.spec.protocol),
+            trials=trial_count(self.spec.protocol),
         )
         spec = to_toml(self.spec).encode()
-        return Assignment(
+        return RunPlan(
             f"lot-{next(self._count)}", spec, self._bundle, self.prior, self._shape, pipeline, len(genomes)
         )
 
     # What follows runs in a thread of its own.
 
-    def _serve(self, stage: Stage) -> None:
+    def _serve(self, stage: LocalSession) -> None:
         """Be the coordinator until the with-block is left."""
         try:
             stage.coordinate(self._lots, self._record, self._stop, self._place.batch_size, self._look)
@@ -188,10 +233,66 @@ class Evaluations:
             if lot.rows.done():
                 self._pending.remove(lot)
 
-    def _record(self, assignment: Assignment) -> Memory:
+    def _record(self, assignment: RunPlan) -> MemorySink:
         """Where the rows of a lot go."""
         return next(lot.memory for lot in self._pending if lot.assignment is assignment)
 
     def _leave(self) -> None:
         self._stop.set(signal.SIGTERM)
         self._lots.close()
+
+
+POSE_KEYWORDS = PoseNames("positions", "quaternions_xyzw", "synergies", "spreads")
+
+
+def evaluate(
+    positions: ArrayLike,
+    quaternions_xyzw: ArrayLike,
+    *,
+    synergies: ArrayLike | None = None,
+    spreads: ArrayLike | None = None,
+    place: Place = HERE,
+    **scenery: Unpack[SceneArguments],
+) -> dict[str, NDArray[np.generic]]:
+    """Score hand poses; what `qdgrasp evaluate` does, for arrays.
+
+    Parameters
+    ----------
+    positions
+        (n, 3) [m]: of the hand's root link, in the object's centre-of-mass frame.
+    quaternions_xyzw
+        (n, 4): of the same; brought to length one.
+    synergies
+        (n,): labels of the synergies that close, -1 for none; None: none.
+    spreads
+        (n, k): positions of the free joints [rad], NaN for open; None: open.
+    place
+        Where it is done.
+    **scenery
+        `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
+
+    Returns
+    -------
+    scores
+        Arrays of n by name: `valid`, `touched`, `success` (bool), `fitness` (0 to 2), `outcome` (`Outcome`),
+        `base_position`, `base_quaternion_xyzw`, `joints` (n, j), `contacts`, `penetration` [m]; with a
+        protocol that has trials also `eta`.
+
+    Raises
+    ------
+    InputError
+        A name that is not known, a value that cannot be, or a file that cannot be used.
+
+    Examples
+    --------
+    >>> scores = qdgrasp.evaluate([[0.0, 0.0, 0.15]], [[1.0, 0.0, 0.0, 0.0]], gripper="panda", object="mug")
+    >>> scores["success"], scores["fitness"]
+    (array([ True]), array([2], dtype=uint8))
+    """
+    poses = HandPoses.of(POSE_KEYWORDS, positions, quaternions_xyzw, synergies, spreads)
+    evaluations = Evaluations(prior=GIVEN, place=place, **scenery)
+    genomes = poses.genomes(evaluations.scene)
+    place.check_hands()
+    with evaluations:
+        rows = evaluations.journal(genomes)
+    return scores(rows, trial_count(evaluations.spec.protocol))

@@ -1,4 +1,4 @@
-"""A run to read: its folder, its grasps, and every row of its journal."""
+"""Reads a run: its folder, its grasps, and every row of its journal."""
 
 import os
 from collections.abc import Iterator
@@ -9,14 +9,11 @@ import numpy as np
 from qdgrasp.arguments import path_of
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.campaigns.summary import Summary, summary
-from qdgrasp_coordinator.exchange.choosing import choose
-from qdgrasp_coordinator.exchange.grasps import Grasps
-from qdgrasp_coordinator.exchange.taking import read_grasps
-from qdgrasp_coordinator.folders.folder import RunFolder
-from qdgrasp_coordinator.searches.search import method
-from qdgrasp_protocol.genome import Layout
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
+from qdgrasp_coordinator.export.grasp_set import Grasps, read_run, select_grasps
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 
@@ -59,9 +56,9 @@ class Run:
         return layout(self.scene, method(self.spec.method).prior)
 
     @property
-    def summary(self) -> Summary:
+    def summary(self) -> RunSummary:
         """The figures that `qdgrasp info` prints, counted from the journal."""
-        return summary(self._folder)
+        return run_summary(self._folder)
 
     def grasps(self, *, min_fitness: float = 1, top: int | None = None, diverse: int | None = None) -> Grasps:
         """The grasps that it has found, as arrays.
@@ -88,7 +85,7 @@ class Run:
         >>> for grasp in qdgrasp.open("runs/mug").grasps(min_fitness=2, diverse=10):
         ...     print(grasp.number, grasp.position, grasp.quaternion_xyzw, grasp.joints)
         """
-        return choose(read_grasps(self._folder), min_fitness, top, diverse)
+        return select_grasps(read_run(self._folder), min_fitness, top, diverse)
 
     def rows(self) -> Rows:
         """Every row of the journal (n,), failures and trials too, as one structured array.

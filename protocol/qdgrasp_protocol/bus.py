@@ -1,7 +1,7 @@
-"""The one interface to the outside: what qdgrasp needs of a message bus, and no more.
+"""The interface of the message bus: all that qdgrasp needs of one, and no more.
 
-`zenoh_bus` carries it over Eclipse Zenoh, `local_bus` is its in-memory twin; one contract test class
-runs over both. Callbacks come from threads of the bus: they put what they got on a queue and return.
+`zenoh_bus` carries it over Eclipse Zenoh, `memory_bus` is its in-memory twin; one contract test class runs
+over both. Callbacks come from threads of the bus: they put what they got on a queue and return.
 """
 
 from abc import ABC, abstractmethod
@@ -81,7 +81,7 @@ class Declaration(AbstractContextManager[Any]):
             self.undo()
 
 
-class Ring(Declaration, ABC):
+class RingBuffer(Declaration, ABC):
     """What was heard lately and is not taken yet: so many messages at most, the newest.
 
     Nobody waits for whoever reads it: where it is full, the eldest message gives way to the next.
@@ -95,7 +95,7 @@ class Ring(Declaration, ABC):
         """Take all that is there, eldest first, without waiting; nothing once the context has ended."""
 
 
-def failure(error: Exception, key: str) -> BusError:
+def reply_error(error: Exception, key: str) -> BusError:
     """What the asker is told of an error in a query handler; `NoReply`: nothing."""
     if isinstance(error, Refused | NoReply):
         return error
@@ -120,7 +120,7 @@ class Bus(ABC):
         """Hear every message whose key matches `pattern` until the context ends."""
 
     @abstractmethod
-    def ring(self, pattern: str, capacity: int) -> Ring:
+    def ring(self, pattern: str, capacity: int) -> RingBuffer:
         """Keep the latest `capacity` messages whose key matches `pattern` until the context ends.
 
         For whoever only watches: no code of ours runs when a message comes, and a reader that stops reading
@@ -183,3 +183,19 @@ class Bus(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class DropCounter:
+    """How many messages were dropped; the first, second, fourth, eighth ... is told of."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def note(self, key: str, reason: object) -> None:
+        """Count a message that is dropped for a reason."""
+        self.count += 1
+        if self.count & (self.count - 1) == 0:
+            log.warning("dropped a message", key=key[:MAX_SHOWN_KEY], reason=str(reason), dropped=self.count)
+
+
+MAX_SHOWN_KEY = 200  # The most characters of a key that are told

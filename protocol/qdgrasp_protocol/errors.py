@@ -50,7 +50,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
-from qdgrasp_protocol.phrases import few, quoted
+from qdgrasp_protocol.text import first_few, quoted
 
 
 class QdgraspError(Exception):
@@ -303,7 +303,7 @@ class RunsFailed(InputError):
         if total == 1:
             super().__init__(str(first))
             return
-        names = few(quoted(other.run for other in others), self.NAMED)
+        names = first_few(quoted(other.run for other in others), self.NAMED)
         super().__init__(
             f"{len(failures)} of {total} runs could not be carried out; the first is '{first.run}': {first}"
             + (f" The others: {names}." if others else "")

@@ -149,7 +149,7 @@ def last_chunk(key: str) -> str:
     return key.rsplit("/", 1)[-1]
 
 
-def number(text: str) -> int | None:
+def parse_number(text: str) -> int | None:
     """The number that a chunk of a key or a parameter stands for; None where it is none, or has 19 digits."""
     is_one = text.isascii() and text.isdigit() and len(text) <= 18
     return int(text) if is_one else None
@@ -160,9 +160,9 @@ def matches(pattern: str, key: str) -> bool:
     return _matches(pattern.split("/"), key.split("/"))
 
 
-def meet(one: str, other: str) -> bool:
+def patterns_intersect(one: str, other: str) -> bool:
     """Whether there is a key that both patterns match."""
-    return _meet(one.split("/"), other.split("/"))
+    return _intersect(one.split("/"), other.split("/"))
 
 
 def _matches(pattern: list[str], key: list[str]) -> bool:
@@ -178,12 +178,12 @@ def _matches(pattern: list[str], key: list[str]) -> bool:
     return _matches(rest, key[1:])
 
 
-def _meet(one: list[str], other: list[str]) -> bool:
+def _intersect(one: list[str], other: list[str]) -> bool:
     if not one or not other:
         return all(chunk == "**" for chunk in one or other)
     for first, second in ((one, other), (other, one)):
         if first[0] == "**":
-            is_passed = not second[0].startswith("@") and _meet(first, second[1:])
-            return is_passed or _meet(first[1:], second)
+            is_passed = not second[0].startswith("@") and _intersect(first, second[1:])
+            return is_passed or _intersect(first[1:], second)
     is_any = "*" in (one[0], other[0]) and not (one[0] + other[0]).strip("*").startswith("@")
-    return (one[0] == other[0] or is_any) and _meet(one[1:], other[1:])
+    return (one[0] == other[0] or is_any) and _intersect(one[1:], other[1:])

@@ -1,15 +1,27 @@
-"""What travels on the bus: flat frozen structs, one per kind of message.
+"""Messages on the bus: flat frozen structs, and how they become bytes and messages again.
 
-Field names are the wire's names. Arrays travel as one little-endian blob each (`rows`): messages that
+Field names are the wire's names (docs/bus.md). Arrays travel as one little-endian blob each: messages that
 carry rows hold them in `columns`, by the names of `rows.COLUMNS`.
+
+Bytes are MessagePack with hard limits, then the schema. Nothing recurses into, or prints, what has not
+passed both. The default limits of msgpack let one megabyte of `0x90` become a million objects.
 """
 
-from typing import Annotated, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
+import msgpack
+import msgspec
 from msgspec import Meta, Struct
 
-VERSION = 1
-"""The version of the protocol that this package speaks."""
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.text import printable
+
+if TYPE_CHECKING:
+    from qdgrasp_protocol.bus import Sample
+
+
+VERSION = 1  # The version of the protocol that this package speaks
 
 Wid = Annotated[str, Meta(pattern=r"\A[0-9a-f]{32}\Z")]
 """A worker process: 128 random bits, new at every start."""
@@ -28,7 +40,7 @@ Text = Annotated[str, Meta(max_length=200)]
 """Words for a person; made with `short`."""
 
 
-def short(text: str) -> str:
+def shorten(text: str) -> str:
     """Text cut to what a message may carry: 200 bytes of UTF-8."""
     return text.encode(errors="replace")[:200].decode(errors="ignore")
 
@@ -126,7 +138,7 @@ class Order(Message, frozen=True, kw_only=True):
     """Whose workers to drain."""
 
 
-class Done(Message, frozen=True, kw_only=True):
+class OrderReply(Message, frozen=True, kw_only=True):
     """The answer to an order."""
 
     words: Text
@@ -217,7 +229,7 @@ class Log(Message, frozen=True, kw_only=True):
     limit: RowCount
 
 
-class Finds(Message, frozen=True, kw_only=True):
+class SuccessPage(Message, frozen=True, kw_only=True):
     """The answer to a query on `rec/finds`: successes of a run in journal order."""
 
     run: Name
@@ -236,3 +248,123 @@ class Finds(Message, frozen=True, kw_only=True):
     """Finger joints of the hand."""
     columns: dict[str, bytes]
     """Each of `finds.COLUMNS` by its name, little-endian."""
+
+
+class Heartbeat(Struct, frozen=True, kw_only=True):
+    """How a worker is."""
+
+    wid: Wid
+    """Its id."""
+    host: Text
+    """Where it runs."""
+    run: Text = ""
+    """Of the batch in work; empty: there is none."""
+    rows: Count = 0
+    """Of that batch; 0: there is none."""
+    progressed: bool = True
+    """Whether its simulator did anything since the last sign."""
+    memory: Count = 0
+    """What it and its simulator have of the memory [bytes]; 0: unknown."""
+    restarts: Count = 0
+    """How often it has started its simulator again."""
+
+
+M = TypeVar("M", bound=Message)
+C = TypeVar("C", list[Any], dict[str, Any])
+
+MAX_PAYLOAD = 16 << 20  # The largest payload that is looked at [bytes]
+MAX_CONTAINERS = 8192  # The most lists and maps in one message: a result with 4096 failures has half of them
+MAX_REASON = 200  # The most characters that a refusal repeats of what came
+MESSAGE_LIMITS = {
+    "max_array_len": 4096,
+    "max_map_len": 32,
+    "max_str_len": 256,
+    "max_bin_len": 1 << 20,
+    "max_ext_len": 0,
+    "strict_map_key": True,
+    "raw": False,
+}
+MAX_BUNDLE = 128 << 20
+"""The largest scene bundle that is fetched [bytes]; those of the built-in hands and objects have 0.2 MB."""
+MAX_BUNDLE_CONTAINERS = 1 << 16  # The most lists and maps in one; those have 50
+BUNDLE_LIMITS = {
+    "max_array_len": 1 << 16,
+    "max_map_len": 256,
+    "max_str_len": MAX_PAYLOAD,
+    "max_bin_len": MAX_BUNDLE,
+    "max_ext_len": 0,
+}
+
+
+@cache
+def encoding(kind: type[Message]) -> str:
+    """The encoding that a message of this kind travels with."""
+    return f"application/msgpack;qdgrasp.{kind.__name__.lower()}.v1"
+
+
+def encode(message: Message) -> bytes:
+    """A message as MessagePack."""
+    return msgspec.msgpack.encode(message)
+
+
+def decode(payload: bytes, kind: type[M]) -> M:
+    """The message of `kind` in `payload`.
+
+    Raises
+    ------
+    MessageError
+        The payload is not MessagePack within the limits, or not of the schema.
+    """
+    if len(payload) > MAX_PAYLOAD:
+        raise MessageError(f"{len(payload)} bytes are more than a message may have ({MAX_PAYLOAD})")
+    values = _unpack(payload, MAX_CONTAINERS, MESSAGE_LIMITS)
+    try:
+        return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
+    except msgspec.ValidationError as error:
+        raise MessageError(f"not a {kind.__name__.lower()}: {printable(str(error), MAX_REASON)}") from None
+
+
+def decode_sample(sample: "Sample", kind: type[M]) -> M:
+    """The message of `kind` in a sample.
+
+    Raises
+    ------
+    MessageError
+        It is said to be of another encoding, which is not even looked at, or is no such message.
+    """
+    if sample.encoding != encoding(kind):
+        raise MessageError(f"expected {encoding(kind)}, got {printable(sample.encoding, MAX_REASON)}")
+    return decode(sample.payload, kind)
+
+
+def check_bundle(payload: bytes) -> None:
+    """See that the bytes of a scene are MessagePack that does not unfold without end.
+
+    Raises
+    ------
+    MessageError
+        They are not.
+    """
+    _unpack(payload, MAX_BUNDLE_CONTAINERS, BUNDLE_LIMITS)
+
+
+def _unpack(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
+    """The values in a payload that has at most so many lists and maps."""
+    count = _ContainerLimit(containers).count
+    try:
+        return msgpack.unpackb(payload, list_hook=count, object_hook=count, **limits)
+    except (ValueError, msgpack.UnpackException) as error:
+        raise MessageError(f"not MessagePack within the limits: {type(error).__name__}") from None
+
+
+class _ContainerLimit:
+    """How many lists and maps a payload may still unfold to."""
+
+    def __init__(self, left: int) -> None:
+        self._left = left
+
+    def count(self, container: C) -> C:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError("too many lists and maps")
+        return container

@@ -1,7 +1,7 @@
-"""A replay: one evaluation that is shown again, asked for and told in the files of one folder.
+"""Replay files: a request to replay one evaluation and its answer, in one folder.
 
-Whoever asks and whoever shows are processes of different rooms. Lengths are metres, quaternions xyzw; the
-frame of all of it is the object's centre-of-mass frame as the object lies at first.
+The processes that ask and replay are of different rooms. Lengths are metres, quaternions xyzw; the frame of
+all of it is the object's centre-of-mass frame as the object lies at first.
 """
 
 from typing import Literal
@@ -11,16 +11,16 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", "frames.npy"
-"""The files: the scene's bytes, a `Request`, an `Answer`, and the frames (n, height, width, 3), uint8."""
+"""The files: the scene's bytes, a `ReplayRequest`, an `ReplayAnswer`, and the frames (n, height, width, 3), uint8."""
 
-What = Literal["all", "closing", "shakes"]
+ReplayPart = Literal["all", "closing", "shakes"]
 Phase = Literal["placed", "closing", "shake z", "shake x"]
 Vector = tuple[float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
 """x y z [m], qx qy qz qw."""
 
 
-class Request(Struct, frozen=True, kw_only=True):
+class ReplayRequest(Struct, frozen=True, kw_only=True):
     """What is to be shown."""
 
     genome: tuple[float, ...]
@@ -32,13 +32,13 @@ class Request(Struct, frozen=True, kw_only=True):
     view: tuple[float, float] | None = None
     """Azimuth and elevation of the camera about the object's z [deg]; None: where fingers and object are seen
     best."""
-    what: What | None = None
+    what: ReplayPart | None = None
     """The part of the evaluation that is filmed; None: one frame, of the hand after closing."""
     parts: bool = False
     """Whether the object is drawn as its convex parts, which are simulated, instead of its surface."""
 
 
-class Touch(Struct, frozen=True, kw_only=True):
+class ContactPoint(Struct, frozen=True, kw_only=True):
     """A point where hand and object touch."""
 
     link: str
@@ -53,7 +53,7 @@ class Touch(Struct, frozen=True, kw_only=True):
     """Negative where they penetrate."""
 
 
-class Shot(Struct, frozen=True, kw_only=True):
+class ReplayFrame(Struct, frozen=True, kw_only=True):
     """One frame."""
 
     phase: Phase
@@ -64,10 +64,10 @@ class Shot(Struct, frozen=True, kw_only=True):
     hand: Pose
     """Of the hand's base link."""
     object: Pose
-    touches: tuple[Touch, ...]
+    touches: tuple[ContactPoint, ...]
 
 
-class Camera(Struct, frozen=True, kw_only=True):
+class ReplayCamera(Struct, frozen=True, kw_only=True):
     """From where it is seen."""
 
     azimuth: float
@@ -87,7 +87,7 @@ class Camera(Struct, frozen=True, kw_only=True):
         return np.column_stack([(1 + right) / 2 * self.width, (1 - up) / 2 * self.height])
 
 
-class Answer(Struct, frozen=True, kw_only=True):
+class ReplayAnswer(Struct, frozen=True, kw_only=True):
     """What was seen."""
 
     outcome: int
@@ -97,6 +97,6 @@ class Answer(Struct, frozen=True, kw_only=True):
     """Finger joints as a row has them."""
     contacts: int
     penetration: float
-    camera: Camera
+    camera: ReplayCamera
     """The same for all frames."""
-    shots: tuple[Shot, ...]
+    shots: tuple[ReplayFrame, ...]

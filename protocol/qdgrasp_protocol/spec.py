@@ -1,9 +1,15 @@
-"""What is asked for: run and job specs, as frozen structs, read from TOML or from flags, strictly.
+"""Specs of runs: frozen structs, read strictly from TOML or from flags.
 
 Flags and TOML say the same things; a run folder holds the full spec, so that `qdgrasp run DIR/spec.toml`
 repeats it. Workers and batch size are not part of a spec: no result depends on them.
+
+TOML that may come from a stranger is read with limits. The standard library's reader recurses into lists,
+takes numbers of any length, and remembers every beginning of a dotted key: 200 KB of `a.a.a` take all memory
+there is.
 """
 
+import re
+import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -11,8 +17,38 @@ import msgspec
 import tomli_w
 from msgspec import Meta, Struct
 
-from qdgrasp_protocol import toml
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
+
+MAX_TOML_SIZE = 4 << 20
+"""The most characters that are looked at; 4096 poses of a hand with 25 joints are two million."""
+MAX_DOTS = 64  # The most dots between two separators of a line
+SEPARATORS = re.compile(r"[,={\[]")
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """The values in a TOML text.
+
+    Raises
+    ------
+    InputError
+        The text is not TOML, or longer or deeper than a spec can be.
+    """
+    if len(text) > MAX_TOML_SIZE:
+        raise InputError(f"{where} has {len(text)} characters, and none may have more than {MAX_TOML_SIZE}.")
+    if any(_dots_in_key(line) > MAX_DOTS for line in text.splitlines()):
+        raise InputError(f"{where} has a key of more than {MAX_DOTS} parts.")
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:
+        raise InputError(f"{where} is not TOML: {error}.") from None
+    except RecursionError:
+        raise InputError(f"{where} has lists in lists in lists without end.") from None
+
+
+def _dots_in_key(line: str) -> int:
+    """The most dots in what may be one key."""
+    return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
+
 
 ProtocolName = Literal["paper", "released", "robust"]
 """The evaluation protocols (docs/protocols.md)."""
@@ -20,12 +56,11 @@ Overlaps = Literal["count", "redraw"]
 """Whether a pose whose open hand overlaps the object counts as an evaluation."""
 
 DEFAULT_METHOD = "aimed"
-MOST = 4096
-"""Genomes in a generation, at most, and poses in a spec."""
+MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
-SAID_OF = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
+VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
 """What is said of a key's value where it is wrong, besides its bounds."""
-GOALS = ("evaluations", "successes", "no_new_cell")
+STOP_KEYS = ("evaluations", "successes", "no_new_cell")
 """The keys of a spec that say when a run ends: what may change when it goes on."""
 
 
@@ -54,7 +89,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """So many counted evaluations without a success in a new cell end it; None: they do not."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
-    population: Annotated[int, Meta(ge=1, le=MOST)] = 500
+    population: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] = 500
     """Genomes in a generation (the paper's mu = lambda)."""
     mutation_sigma: Annotated[float, Meta(gt=0, le=2)] = 0.1
     """Standard deviation of the Gaussian mutation, in genes."""
@@ -64,7 +99,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Generation g is asked when generation g minus this has been told."""
     surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     """Seed of the surface points, part of the scene."""
-    poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MOST)] | None = None
+    poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MAX_POPULATION)] | None = (
+        None
+    )
     """The hand poses that the method `given` scores, and no other has: x y z [m], qx qy qz qw, then synergy
     label and free joints [rad] where the hand has them; decimals that float32 gives back."""
 
@@ -94,7 +131,7 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         try:
             msgspec.convert(value, fields[key].type)
         except msgspec.ValidationError:
-            expected = _expected(fields[key].type) + SAID_OF.get(key, "")
+            expected = _expected_value(fields[key].type) + VALUE_HINTS.get(key, "")
             raise ImpossibleValue(f"{where}: {key}", value, expected) from None
     return msgspec.convert(values, RunSpec)
 
@@ -113,7 +150,7 @@ def read_run_spec(path: Path) -> dict[str, Any]:
         raise InputError(f"No spec can be read at '{path}': {error.strerror or error}.") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not TOML: {error}.") from None
-    return toml.loads(text, str(path))
+    return parse_toml(text, str(path))
 
 
 def from_toml(text: str, where: str = "spec") -> RunSpec:
@@ -124,13 +161,15 @@ def from_toml(text: str, where: str = "spec") -> RunSpec:
     InputError
         The text is not TOML, or not a spec; see `run_spec`.
     """
-    return run_spec(toml.loads(text, where), where)
+    return run_spec(parse_toml(text, where), where)
 
 
 def differences(one: RunSpec, other: RunSpec) -> list[str]:
     """The keys in which two specs differ, besides those that say when a run ends."""
     return [
-        key for key in one.__struct_fields__ if key not in GOALS and getattr(one, key) != getattr(other, key)
+        key
+        for key in one.__struct_fields__
+        if key not in STOP_KEYS and getattr(one, key) != getattr(other, key)
     ]
 
 
@@ -147,7 +186,7 @@ def to_toml(spec: RunSpec) -> str:
     return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "")
 
 
-def _expected(kind: Any) -> str:
+def _expected_value(kind: Any) -> str:
     """A field's type in words."""
     info = msgspec.inspect.type_info(kind)
     if isinstance(info, msgspec.inspect.UnionType):
@@ -157,7 +196,7 @@ def _expected(kind: Any) -> str:
     if isinstance(info, msgspec.inspect.StrType):
         return "text"
     if isinstance(info, msgspec.inspect.VarTupleType):
-        return f"1 to {MOST} lists of numbers"
+        return f"1 to {MAX_POPULATION} lists of numbers"
     words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
     bounds = [
         f"{word} {getattr(info, name)}"

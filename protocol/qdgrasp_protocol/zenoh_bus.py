@@ -16,37 +16,43 @@ from qdgrasp_protocol.bus import (
     Declaration,
     Query,
     QueryHandler,
-    Ring,
+    RingBuffer,
     Sample,
     SampleHandler,
     TokenHandler,
     ValuesHandler,
-    failure,
+    reply_error,
 )
-from qdgrasp_protocol.credentials import Credentials
-from qdgrasp_protocol.endpoint import check_open, home, parse_all
 from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused, SecurityError
-from qdgrasp_protocol.handshake import NotListening, Unreachable, plain
 from qdgrasp_protocol.keys import matches
-from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.printable import printable
-from qdgrasp_protocol.session import Mode, Settings, settings
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.session import (
+    Credentials,
+    Mode,
+    NotListening,
+    Unreachable,
+    ZenohSettings,
+    check_open,
+    clean_zenoh_error,
+    default_endpoint,
+    parse_endpoints,
+    session_settings,
+)
+from qdgrasp_protocol.text import printable
 
 log = structlog.get_logger()
 
 T = TypeVar("T")
 
-PORT_TRIES = 3
-"""How many free ports are tried where somebody else is quicker."""
-SLICE = 1.0  # seconds of one try to connect; between two of them a signal is heard
-TOLD: dict[type[BusError], str] = {
+PORT_TRIES = 3  # How many free ports are tried where somebody else is quicker
+CONNECT_SLICE = 1.0  # seconds of one try to connect; between two of them a signal is heard
+ERROR_ENCODINGS: dict[type[BusError], str] = {
     Refused: "text/plain;qdgrasp.refusal",
     Faulty: "text/plain;qdgrasp.fault",
 }
 """The encodings of error replies by what they tell; one without either is zenoh's own (a time-out)."""
 
-MAX_REASON = 1000
-"""The most bytes that are shown of a refusal."""
+MAX_REASON = 1000  # The most bytes that are shown of a refusal
 
 QOS = {
     Channel.DATA: (zenoh.CongestionControl.BLOCK, zenoh.Priority.DATA),
@@ -58,7 +64,7 @@ QOS = {
 
 def free_endpoint(credentials: Credentials | None = None) -> str:
     """The default endpoint on loopback if its port is free, else one on a port that is free now."""
-    default = home(encrypted=credentials is not None)
+    default = default_endpoint(encrypted=credentials is not None)
     for port in (default.port, 0):
         try:
             with socket.create_server((default.host, port)) as server:
@@ -102,14 +108,16 @@ class ZenohBus(Bus):
             `stop` was set while trying.
         """
         endpoints = (
-            parse_all(endpoint) if endpoint is not None else (home(encrypted=credentials is not None),)
+            parse_endpoints(endpoint)
+            if endpoint is not None
+            else (default_endpoint(encrypted=credentials is not None),)
         )
         deadline = time.monotonic() + deadline_seconds
         while True:
             if stop is not None and stop.is_set:
                 raise SystemExit(stop.exit_code)
-            left = min(SLICE, max(0.0, deadline - time.monotonic()))
-            chosen = settings("client", connect=endpoints, credentials=credentials, seconds=left)
+            left = min(CONNECT_SLICE, max(0.0, deadline - time.monotonic()))
+            chosen = session_settings("client", connect=endpoints, credentials=credentials, seconds=left)
             try:
                 return cls(zenoh.open(_config(chosen, zenoh.Config())), "client")
             except zenoh.ZError:
@@ -146,12 +154,12 @@ class ZenohBus(Bus):
         SecurityError
             The router's file is no configuration, or has no access list.
         """
-        listening = parse_all(endpoint)
+        listening = parse_endpoints(endpoint)
         for place in listening:
             check_open(place, insecure=insecure)
-        others = parse_all(connect) if connect is not None else ()
-        chosen = settings("router", listen=listening, connect=others, credentials=credentials)
-        config = _config(chosen, _guarded(credentials) if credentials else zenoh.Config())
+        others = parse_endpoints(connect) if connect is not None else ()
+        chosen = session_settings("router", listen=listening, connect=others, credentials=credentials)
+        config = _config(chosen, _router_config(credentials) if credentials else zenoh.Config())
         try:
             return cls(zenoh.open(config), "router")
         except zenoh.ZError as error:
@@ -194,7 +202,7 @@ class ZenohBus(Bus):
 
         return self._declare(heard, lambda call: self._session.declare_subscriber(pattern, call))
 
-    def ring(self, pattern: str, capacity: int) -> Ring:
+    def ring(self, pattern: str, capacity: int) -> RingBuffer:
         """Keep messages in a ring of zenoh's own."""
         ring = ZenohRing()
         channel: Any = zenoh.handlers.RingChannel(capacity)
@@ -226,7 +234,7 @@ class ZenohBus(Bus):
         for reply in replies:
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
-            for kind, encoding in TOLD.items():
+            for kind, encoding in ERROR_ENCODINGS.items():
                 if reply.err is not None and str(reply.err.encoding) == encoding:
                     raise kind(_reason(reply.err.payload.to_bytes()))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
@@ -314,7 +322,7 @@ class ZenohBus(Bus):
             raise BusError(f"The bus refuses: {error}.") from None
 
 
-class ZenohRing(Ring):
+class ZenohRing(RingBuffer):
     """A ring channel of zenoh, filled by its threads."""
 
     subscriber: Any
@@ -332,21 +340,23 @@ def _sample(sample: zenoh.Sample) -> Sample:
     return Sample(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
 
-def _config(chosen: Settings, config: zenoh.Config) -> zenoh.Config:
+def _config(chosen: ZenohSettings, config: zenoh.Config) -> zenoh.Config:
     """A configuration with these settings over what it holds."""
     for name, value in chosen.items():
         config.insert_json5(name, json.dumps(value))
     return config
 
 
-def _guarded(credentials: Credentials) -> zenoh.Config:
+def _router_config(credentials: Credentials) -> zenoh.Config:
     """What a router's file holds, with its access list."""
     path = credentials.configuration
     try:
         config = zenoh.Config.from_json5(path.read_text())
         guard = json.loads(config.get_json("access_control"))
     except (OSError, ValueError, zenoh.ZError) as error:
-        raise SecurityError(f"{path} is not a configuration that zenoh takes: {plain(str(error))}.") from None
+        raise SecurityError(
+            f"{path} is not a configuration that zenoh takes: {clean_zenoh_error(str(error))}."
+        ) from None
     if not (guard["enabled"] and guard["default_permission"] == "deny"):
         raise SecurityError(
             f"{path} does not deny what it does not allow; `qdgrasp security init` writes a file that does."
@@ -366,8 +376,8 @@ def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
     try:
         values = handler(Query(key, str(query.parameters), payload))
     except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
-        told = failure(error, key)
-        for kind, encoding in TOLD.items():
+        told = reply_error(error, key)
+        for kind, encoding in ERROR_ENCODINGS.items():
             if isinstance(told, kind):
                 query.reply_err(str(told).encode(), encoding=encoding)
         return

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from tests.chaos.slow_simulator import PACE, Slow
 
-from qdgrasp_worker.evaluate import Evaluation
-from qdgrasp_worker.serving.child import load_scene, main
+from qdgrasp_worker.evaluator import Evaluation
+from qdgrasp_worker.runtime.simulator_main import load_scene, main
 
 DEEDS = "CHAOS_DEEDS"
 ONE_IN = 4

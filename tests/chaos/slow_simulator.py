@@ -5,9 +5,9 @@ import time
 
 import numpy as np
 
-from qdgrasp_protocol.rows import Shape
-from qdgrasp_worker.evaluate import Evaluation, Evaluator
-from qdgrasp_worker.serving.child import load_scene, main
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_worker.evaluator import Evaluation, Evaluator
+from qdgrasp_worker.runtime.simulator_main import load_scene, main
 
 PACE = "CHAOS_PACE"
 
@@ -19,7 +19,7 @@ class Slow:
         self._evaluator = evaluator
         self._pace = pace
 
-    def shape(self, prior: str) -> Shape:
+    def shape(self, prior: str) -> RowShape:
         return self._evaluator.shape(prior)
 
     def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:

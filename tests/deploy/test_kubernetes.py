@@ -5,7 +5,7 @@ import pytest
 import yaml
 from tests.deploy.commands import DEPLOY, understood
 
-from qdgrasp_protocol.endpoint import parse_all
+from qdgrasp_protocol.session import parse_endpoints
 
 FILES = sorted((DEPLOY / "kubernetes").glob("*.yaml"))
 OBJECTS = [each for file in FILES for each in yaml.safe_load_all(file.read_text())]
@@ -65,14 +65,14 @@ def test_labels_lead_to_the_pods(name: str) -> None:
 
 
 def test_workers_find_the_router_by_the_name_of_its_service() -> None:
-    (endpoint,) = parse_all(options("qdgrasp-worker")["connect"])
+    (endpoint,) = parse_endpoints(options("qdgrasp-worker")["connect"])
     service = SERVICES[endpoint.host]["spec"]
     assert service["selector"].items() <= (
         DEPLOYMENTS["qdgrasp-router"]["spec"]["template"]["metadata"]["labels"].items()
     )
     (port,) = service["ports"]
     (listens,) = container("qdgrasp-router")["ports"]
-    (heard,) = parse_all(options("qdgrasp-router")["listen"])
+    (heard,) = parse_endpoints(options("qdgrasp-router")["listen"])
     assert endpoint.port == port["port"] == listens["containerPort"] == heard.port
     assert port["targetPort"] == listens["name"]
 

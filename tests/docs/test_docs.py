@@ -9,22 +9,27 @@ from pathlib import Path
 
 import pytest
 import typer
-from tests.docs import rules
-from tests.docs.blocks import PAGES, ROOT, Line, blocks, spans, words
+from tests.docs import pages
+from tests.docs.pages import PAGES, ROOT, Line, PageRun, blocks, spans, words
 from tests.docs.prepared import Prepared, assumed
-from tests.docs.story import Story
 from typer.exceptions import TyperException
 
-from qdgrasp_coordinator.cli import coordinator, main, monitor, recorder, router
+from qdgrasp_coordinator.cli import (
+    coordinator_process,
+    main,
+    monitor_process,
+    recorder_process,
+    router_process,
+)
 from qdgrasp_worker import cli as worker
 
 SHELL = ("sh", "bash", "console")
 APPS = {
     "qdgrasp": main.app,
-    "qdgrasp-coordinator": coordinator.app,
-    "qdgrasp-monitor": monitor.app,
-    "qdgrasp-recorder": recorder.app,
-    "qdgrasp-router": router.app,
+    "qdgrasp-coordinator": coordinator_process.app,
+    "qdgrasp-monitor": monitor_process.app,
+    "qdgrasp-recorder": recorder_process.app,
+    "qdgrasp-router": router_process.app,
     "qdgrasp-worker": worker.app,
 }
 IMPORT = re.compile(r"^(?:import|from) (\w+)", re.MULTILINE)
@@ -41,10 +46,10 @@ def name_of(page: Path) -> str:
 def told(page: Path, *, whole: bool) -> list[list[Line]]:
     """The lines of a page that are run, block by block; those that take long only if it is told whole."""
     found = [
-        [line for line in block.lines if whole or not rules.LONG.match(line.text)]
+        [line for line in block.lines if whole or not pages.LONG.match(line.text)]
         for block in blocks(page, *SHELL)
     ]
-    return [[line for line in lines if not rules.reason(line.text)] for lines in found]
+    return [[line for line in lines if not pages.reason(line.text)] for lines in found]
 
 
 def scripts(page: Path) -> list[str]:
@@ -69,15 +74,15 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prepared]:
 
 
 @pytest.fixture
-def story(prepared: Prepared, tmp_path: Path) -> Iterator[Story]:
-    story = Story(tmp_path, prepared.home / "cache")
+def story(prepared: Prepared, tmp_path: Path) -> Iterator[PageRun]:
+    story = PageRun(tmp_path, prepared.home / "cache")
     yield story
     story.close()
 
 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("page", SHORT_STORIES, ids=name_of)
-def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: Story) -> None:
+def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: PageRun) -> None:
     tell(page, prepared, story, whole=False)
     (story.home / "of_the_page.py").write_text("\n".join(scripts(page)))
     done = subprocess.run(
@@ -89,17 +94,17 @@ def test_the_short_commands_of_a_page_do_what_it_says(page: Path, prepared: Prep
 @pytest.mark.slow
 @pytest.mark.timeout(2400)
 @pytest.mark.parametrize("page", LONG_STORIES, ids=name_of)
-def test_all_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: Story) -> None:
+def test_all_commands_of_a_page_do_what_it_says(page: Path, prepared: Prepared, story: PageRun) -> None:
     tell(page, prepared, story, whole=True)
 
 
-def tell(page: Path, prepared: Prepared, story: Story, *, whole: bool) -> None:
+def tell(page: Path, prepared: Prepared, story: PageRun, *, whole: bool) -> None:
     """Carry a page out, in a folder that has what it assumes."""
     lines = [line for lines in told(page, whole=whole) for line in lines]
     has_certificates = any("security init" in line.text for line in lines)
     if has_certificates and not any("security add" in line.text for line in lines):
         story.places["lab"] = "security"  # what the page does not issue is not there
-    texts = [rules.cut(line.text, story.places) for line in lines]
+    texts = [pages.cut(line.text, story.places) for line in lines]
     needed = assumed([*texts, *scripts(page)])
     if "--security" in " ".join(texts) and not has_certificates:
         needed.append("security")
@@ -111,8 +116,8 @@ def tell(page: Path, prepared: Prepared, story: Story, *, whole: bool) -> None:
 
 @pytest.mark.parametrize("line", [line for line in LINES if not line.is_ours], ids=str)
 def test_a_line_of_another_program_is_run_or_listed(line: Line) -> None:
-    assert rules.reason(line.text) or re.match(OTHERS, line.text), (
-        "no rule says why this is not run; add one to tests/docs/rules.py"
+    assert pages.reason(line.text) or re.match(OTHERS, line.text), (
+        "no rule says why this is not run; add one to tests/docs/pages.py"
     )
 
 
@@ -123,7 +128,7 @@ def test_a_line_of_ours_is_one_that_the_commands_take(line: Line) -> None:
         parse(program, arguments)
 
 
-@pytest.mark.parametrize("pattern", rules.ELSEWHERE)
+@pytest.mark.parametrize("pattern", pages.ELSEWHERE)
 def test_a_reason_is_given_for_something(pattern: str) -> None:
     assert any(re.match(pattern, line.text) for line in LINES), "no line is like that any more"
 

@@ -14,15 +14,14 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
-from tests.endpoints import own_endpoint
-from tests.patience import PATIENCE
+from tests.common import PATIENCE, own_endpoint
 
-from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
-from qdgrasp_protocol.endpoint import HOME, PORT
+from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Query, Sample
 from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused
 from qdgrasp_protocol.keys import matches
-from qdgrasp_protocol.lifetime import Stop
-from qdgrasp_protocol.local_bus import LocalBus, LocalNetwork
+from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.session import LOOPBACK, PORT
 from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 TEXT = "text/plain"
@@ -36,7 +35,7 @@ def opener(request: pytest.FixtureRequest) -> Iterator[Opener]:
     """Opens sessions of one network, which are closed at the end."""
     with ExitStack() as stack:
         if request.param == "local":
-            network = LocalNetwork()
+            network = MemoryNetwork()
             yield lambda: stack.enter_context(network.session())
         else:
             endpoint = own_endpoint()
@@ -353,8 +352,8 @@ class TestZenohBus:
     def test_a_free_endpoint_is_another_one_while_the_default_is_taken(self) -> None:
         with ExitStack() as stack:
             with suppress(OSError):  # somebody else has it
-                stack.enter_context(socket.create_server((HOME, PORT)))
-            assert free_endpoint() != f"tcp/{HOME}:{PORT}"
+                stack.enter_context(socket.create_server((LOOPBACK, PORT)))
+            assert free_endpoint() != f"tcp/{LOOPBACK}:{PORT}"
 
     def test_a_process_that_leaves_its_session_ends(self) -> None:
         endpoint = own_endpoint()
@@ -372,7 +371,7 @@ class TestZenohBus:
 
 class TestLocalBus:
     def test_a_cut_link_loses_messages_and_tokens_and_mending_brings_tokens_back(self) -> None:
-        network = LocalNetwork()
+        network = MemoryNetwork()
         near, far = network.session(), network.session()
         messages, tokens, links = Ear(), Ear(), Ear()
         near.subscribe("test/a", messages)
@@ -395,7 +394,7 @@ class TestLocalBus:
         assert near.ask("test/q", timeout=PATIENCE) == b"here"
 
     def test_a_message_is_delivered_before_put_returns(self) -> None:
-        bus, heard = LocalBus(LocalNetwork()), []
+        bus, heard = MemoryBus(MemoryNetwork()), []
         bus.subscribe("test/a", heard.append)
         bus.put("test/a", b"1", encoding=TEXT)
         assert heard == [Sample("test/a", b"1", TEXT)]
@@ -408,3 +407,13 @@ PATTERNS = st.lists(CHUNKS | st.sampled_from(["*", "**"]), min_size=1, max_size=
 @given(PATTERNS, st.lists(CHUNKS, min_size=1, max_size=5).map("/".join))
 def test_keys_match_as_in_zenoh(pattern: str, key: str) -> None:
     assert matches(pattern, key) == zenoh.KeyExpr.autocanonize(pattern).intersects(key)
+
+
+def test_every_drop_is_counted_and_few_are_told() -> None:
+    drops = DropCounter()
+    with capture_logs() as said:
+        for _ in range(10_000):
+            drops.note("qdgrasp/v1/mugs/@result/" + "x" * 1000, "no such message")
+    assert drops.count == 10_000
+    assert [line["dropped"] for line in said] == [2**power for power in range(14)]
+    assert all(len(line["key"]) <= 200 for line in said)

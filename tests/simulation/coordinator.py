@@ -4,19 +4,16 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-from tests.simulation.network import Asked, Network
+from tests.simulation.network import Asked, Network, World
 from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
-from tests.simulation.world import World
 
-from qdgrasp_coordinator.runs.assignment import Assignment
-from qdgrasp_coordinator.serving.inbox import JoinRequest, LinkChange
-from qdgrasp_coordinator.serving.lane import Lane
-from qdgrasp_coordinator.serving.opener import Begun, Failed
-from qdgrasp_coordinator.serving.recorder_link import RecorderLink
-from qdgrasp_coordinator.serving.service import MAX_PATIENCE
-from qdgrasp_coordinator.serving.turn import Turn
-from qdgrasp_protocol import codec
+from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler, JoinRequest, LinkChange
+from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunNotOpened, RunOpened
+from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel
 from qdgrasp_protocol.errors import InputError, NoReply, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import last_chunk
@@ -39,12 +36,12 @@ class Lanes:
     """The open runs."""
 
     def __init__(self) -> None:
-        self.open: dict[str, Lane] = {}
+        self.open: dict[str, ActiveRun] = {}
 
-    def __iter__(self) -> Iterator[Lane]:
+    def __iter__(self) -> Iterator[ActiveRun]:
         return iter(list(self.open.values()))
 
-    def get(self, run: str) -> Lane | None:
+    def get(self, run: str) -> ActiveRun | None:
         return self.open.get(run)
 
 
@@ -82,7 +79,7 @@ class Coordinator(Process):
         network: Network,
         name: str,
         runs: list[str],
-        assignment: Callable[[str], Assignment],
+        assignment: Callable[[str], RunPlan],
         batch_size: int | None,
         *,
         met: Callable[["Coordinator"], None],
@@ -95,7 +92,7 @@ class Coordinator(Process):
         self._met = met
         self._is_opening = False
         self.lanes = Lanes()
-        self.turn = Turn(JOB, 0, self.lanes, self._put, batch_size)
+        self.turn = JobScheduler(JOB, 0, self.lanes, self._put, batch_size)
         self.link_is_up = True
         """What its turn knows of its link."""
         self.is_done = False
@@ -133,7 +130,7 @@ class Coordinator(Process):
             error = answer.exception()
             asked.reply(error if isinstance(error, Exception) else answer.result())
 
-        request = JoinRequest(codec.decode(asked.query.payload, Join))
+        request = JoinRequest(messages.decode(asked.query.payload, Join))
         request.answer.add_done_callback(answered)
         return request
 
@@ -143,13 +140,13 @@ class Coordinator(Process):
             self.network.go_down()
 
     def _patience(self) -> float:
-        return min(MAX_PATIENCE, max(0.0, self.turn.next_deadline() - self.now))
+        return min(MOST_WAIT, max(0.0, self.turn.next_deadline() - self.now))
 
     def _step(self) -> None:
         for event in self.events():
-            if isinstance(event, Begun):
+            if isinstance(event, RunOpened):
                 self._begin(event)
-            elif isinstance(event, Failed):
+            elif isinstance(event, RunNotOpened):
                 raise event.reason
             else:
                 self._hear(event)
@@ -186,18 +183,20 @@ class Coordinator(Process):
             return
         assignment = self._assignment(run)
         bus: Bus = Line(self)  # type: ignore[assignment]
-        lane = Lane(assignment, RecorderLink(bus, JOB, assignment.shape))
+        lane = ActiveRun(assignment, RecorderClient(bus, JOB, assignment.shape))
         try:
             opened = lane.open(self.turn.epoch, not_now)
         except (NotNow, NoReply):
             self.world.later(RETRY, lambda: self._try_to_open(run))
         except (InputError, TookOver) as refusal:
-            self.hear(Failed(refusal))
+            self.hear(RunNotOpened(refusal))
         else:
             self.note(f"opened {lane.run} in epoch {opened.epoch} with {opened.durable[0]} rows")
-            self.world.later(self.world.exponential(self._opening), lambda: self.hear(Begun(lane, opened)))
+            self.world.later(
+                self.world.exponential(self._opening), lambda: self.hear(RunOpened(lane, opened))
+            )
 
-    def _begin(self, news: Begun) -> None:
+    def _begin(self, news: RunOpened) -> None:
         self._is_opening = False
         if not self.turn.epoch:
             self._begin_turn(news.opened.epoch)
@@ -205,7 +204,7 @@ class Coordinator(Process):
         self.lanes.open[news.lane.run] = news.lane
 
     def _begin_turn(self, epoch: int) -> None:
-        self.turn = Turn(JOB, epoch, self.lanes, self._put, self._batch_size)
+        self.turn = JobScheduler(JOB, epoch, self.lanes, self._put, self._batch_size)
         self.link_is_up = True
         self._met(self)
         for pattern in (KEYS.result(), KEYS.stat("worker/*")):
@@ -217,5 +216,5 @@ class Coordinator(Process):
         self.network.token(self.session, KEYS.coordinator_token(epoch))
 
     def _put(self, key: str, message: Message, channel: Channel) -> None:
-        kind = codec.encoding(type(message))
-        self.network.put(self.session, key, codec.encode(message), kind, channel)
+        kind = messages.encoding(type(message))
+        self.network.put(self.session, key, messages.encode(message), kind, channel)

@@ -1,7 +1,7 @@
 """Mutations: each breaks one rule of a state machine; the invariants must notice, within some histories.
 
-`MUTATIONS` names them: what is replaced, by what. A mutation that nothing notices says that the histories are
-too tame, or an invariant is missing.
+`MUTATIONS` names them: what is replaced, by what. A mutation that nothing notices says that the histories
+are too tame, or an invariant is missing.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,26 +15,24 @@ import msgspec
 from tests.simulation.plan import wild
 from tests.simulation.play import play
 
-from qdgrasp_coordinator.counts.stretch import Stretch
-from qdgrasp_coordinator.dispatching import dispatch as dispatching
-from qdgrasp_coordinator.dispatching.backlog import Backlog
-from qdgrasp_coordinator.dispatching.batch import Settlement
-from qdgrasp_coordinator.dispatching.dispatch import Dispatch
-from qdgrasp_coordinator.dispatching.member import FreeHands, Member
-from qdgrasp_coordinator.dispatching.roster import Overdue, Roster
-from qdgrasp_coordinator.dispatching.tickets import Stub, Tickets
-from qdgrasp_coordinator.recording.books import Books
-from qdgrasp_coordinator.recording.holding import Holding
-from qdgrasp_coordinator.recording.intake import Arrival, Intake
-from qdgrasp_coordinator.recording.reports import Reports
-from qdgrasp_coordinator.recording.scribe import Scribe
-from qdgrasp_coordinator.runs.generation import Slot
-from qdgrasp_coordinator.runs.pipeline import Pipeline
-from qdgrasp_coordinator.serving.outbox import Outbox
-from qdgrasp_coordinator.serving.turn import Turn
+from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
+from qdgrasp_coordinator.recorder.run_store import LockedJobFolder, RunStore
+from qdgrasp_coordinator.recorder.run_writer import Arrival, CommitQueue
+from qdgrasp_coordinator.scheduler import dispatcher as dispatching
+from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
+from qdgrasp_coordinator.scheduler.dispatcher import BatchTable, Dispatcher, SettledBatch
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
+from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
+from qdgrasp_coordinator.scheduler.recorder_client import Outbox
+from qdgrasp_coordinator.scheduler.worker_registry import (
+    IdleWorkerQueue,
+    OverdueWorker,
+    Worker,
+    WorkerRegistry,
+)
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
-from qdgrasp_worker.serving.appointment import Appointment
-from qdgrasp_worker.serving.desk import Desk
+from qdgrasp_worker.runtime.job_registry import JobSession, JoinState
 
 MOST = 120
 """A mutation is to be noticed within so many histories."""
@@ -74,7 +72,7 @@ def value(owner: type, name: str, get: Callable[[Any], Any]) -> Patch:
 # Dispatch and desk.
 
 
-def _accept_any_join(desk: Desk, work: Any) -> bool:
+def _accept_any_join(desk: JobSession, work: Any) -> bool:
     if work.epoch != desk.epoch:
         return False
     desk._held[work.batch] = work
@@ -82,7 +80,7 @@ def _accept_any_join(desk: Desk, work: Any) -> bool:
 
 
 def _keep_held(joined: Any) -> Any:
-    def kept(desk: Desk, answer: Any) -> bool:
+    def kept(desk: JobSession, answer: Any) -> bool:
         held = dict(desk._held)
         is_current: bool = joined(desk, answer)
         desk._held.update(held)
@@ -92,7 +90,7 @@ def _keep_held(joined: Any) -> Any:
 
 
 def _keep_settled(close: Any) -> Any:
-    def closed(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
+    def closed(tickets: BatchTable, ticket: Any, winner: str | None = None) -> None:
         close(tickets, ticket, winner)
         vars(tickets).setdefault("kept", {})[ticket.batch.id] = ticket
 
@@ -110,12 +108,12 @@ def _settle_again(judge: Any) -> Any:
     return judged
 
 
-def _close_and_keep(tickets: Tickets, ticket: Any, winner: str | None = None) -> None:
-    tickets._settled[ticket.batch.id] = Stub(tickets._open.pop(ticket.batch.id).leased, winner)
+def _close_and_keep(tickets: BatchTable, ticket: Any, winner: str | None = None) -> None:
+    tickets._settled[ticket.batch.id] = SettledBatch(tickets._open.pop(ticket.batch.id).leased, winner)
 
 
 def _accept_anybody(judge: Any) -> Any:
-    def judged(tickets: Tickets, wid: str, result: Any) -> Settlement:
+    def judged(tickets: BatchTable, wid: str, result: Any) -> Settlement:
         ticket = tickets._open.get(result.batch)
         if ticket is not None and result.n == len(ticket.batch):
             ticket.leased.add(wid)
@@ -125,25 +123,25 @@ def _accept_anybody(judge: Any) -> Any:
 
 
 def _forget_requeued(requeue: Any) -> Any:
-    def requeued(dispatch: Dispatch, batch_ids: Any) -> int:
-        with patch.object(Backlog, "put_back"):
+    def requeued(dispatch: Dispatcher, batch_ids: Any) -> int:
+        with patch.object(BatchQueue, "put_back"):
             return requeue(dispatch, batch_ids)
 
     return requeued
 
 
 def _join_without_requeue(join: Any) -> Any:
-    def joined(dispatch: Dispatch, *arguments: Any) -> list[bytes]:
-        with patch.object(Dispatch, "_requeue", lambda self, ids: len(list(ids))):
+    def joined(dispatch: Dispatcher, *arguments: Any) -> list[bytes]:
+        with patch.object(Dispatcher, "_requeue", lambda self, ids: len(list(ids))):
             return join(dispatch, *arguments)
 
     return joined
 
 
 def _stay_due(give_up: Any) -> Any:
-    def given_up(roster: Roster, member: Member) -> Overdue:
+    def given_up(roster: WorkerRegistry, member: Worker) -> OverdueWorker:
         gone, member.gone_at = member.gone_at, None
-        overdue: Overdue = give_up(roster, member)
+        overdue: OverdueWorker = give_up(roster, member)
         member.gone_at = gone
         return overdue
 
@@ -151,17 +149,17 @@ def _stay_due(give_up: Any) -> Any:
 
 
 def _never_forget(give_up: Any) -> Any:
-    def given_up(roster: Roster, member: Member) -> Overdue:
+    def given_up(roster: WorkerRegistry, member: Worker) -> OverdueWorker:
         member.gone_at = None  # as one whose token is there, but who makes no progress
-        overdue: Overdue = give_up(roster, member)
+        overdue: OverdueWorker = give_up(roster, member)
         return overdue
 
     return given_up
 
 
 def _overlook_the_first(free: Any) -> Any:
-    def found(roster: Roster) -> FreeHands:
-        hands: FreeHands = free(roster)
+    def found(roster: WorkerRegistry) -> IdleWorkerQueue:
+        hands: IdleWorkerQueue = free(roster)
         del hands._heap[:1]
         return hands
 
@@ -169,8 +167,8 @@ def _overlook_the_first(free: Any) -> Any:
 
 
 def _withdraw_half(withdraw: Any) -> Any:
-    def withdrawn(dispatch: Dispatch, run: str) -> Any:
-        with patch.object(Backlog, "withdraw"):
+    def withdrawn(dispatch: Dispatcher, run: str) -> Any:
+        with patch.object(BatchQueue, "withdraw"):
             return withdraw(dispatch, run)
 
     return withdrawn
@@ -179,7 +177,7 @@ def _withdraw_half(withdraw: Any) -> Any:
 # Pipeline, outbox, recorder.
 
 
-def _arrived_with_gaps(slot: Slot) -> Any:
+def _arrived_with_gaps(slot: GenerationBuffer) -> Any:
     indices, trials = slot._next(4096)
     here = slot._here[indices, trials]
     n = int(here.sum())
@@ -194,7 +192,7 @@ def _replay_without_last(replay: Any) -> Any:
 
 
 def _report_expected(report: Any) -> Any:
-    def reported(scribe: Scribe, run: str) -> Recorded:
+    def reported(scribe: Recorder, run: str) -> Recorded:
         message: Recorded = report(scribe, run)
         return Recorded(
             epoch=message.epoch, run=run, durable=scribe._books._ledgers[run].intake.expected, trouble=""
@@ -203,13 +201,13 @@ def _report_expected(report: Any) -> Any:
     return reported
 
 
-def _take_in_silence(scribe: Scribe, message: Recordable, now: float) -> None:
+def _take_in_silence(scribe: Recorder, message: Recordable, now: float) -> None:
     scribe._books.take(message, now)
 
 
 def _forget_sent(due: Any) -> Any:
-    def sent(outbox: Outbox, now: float) -> list[Stretch]:
-        stretches: list[Stretch] = due(outbox, now)
+    def sent(outbox: Outbox, now: float) -> list[JournalSlice]:
+        stretches: list[JournalSlice] = due(outbox, now)
         if stretches:
             outbox._forget(outbox._end)
         return stretches
@@ -218,7 +216,7 @@ def _forget_sent(due: Any) -> Any:
 
 
 def _number_batches(push: Any) -> Any:
-    def pushed(outbox: Outbox, stretch: Stretch) -> None:
+    def pushed(outbox: Outbox, stretch: JournalSlice) -> None:
         if len(stretch):
             outbox._kept.append(replace(stretch, first=outbox._end))
             outbox._end += 1
@@ -227,7 +225,7 @@ def _number_batches(push: Any) -> Any:
 
 
 def _take_any_epoch(take: Any) -> Any:
-    def taken(books: Books, message: Recordable, now: float) -> Arrival:
+    def taken(books: RunStore, message: Recordable, now: float) -> Arrival:
         arrival: Arrival = take(books, msgspec.structs.replace(message, epoch=books.epoch), now)
         return arrival
 
@@ -235,7 +233,7 @@ def _take_any_epoch(take: Any) -> Any:
 
 
 def _take_past_gaps(offer: Any) -> Any:
-    def offered(intake: Intake, epoch: int, stretch: Stretch, now: float) -> Arrival:
+    def offered(intake: CommitQueue, epoch: int, stretch: JournalSlice, now: float) -> Arrival:
         if stretch.first > intake.expected:
             stretch = replace(stretch, first=intake.expected)
         arrival: Arrival = offer(intake, epoch, stretch, now)
@@ -246,41 +244,50 @@ def _take_past_gaps(offer: Any) -> Any:
 
 MUTATIONS = [
     Mutation(
-        "drop the join fence", "3", ("fenced",), lambda: [patch.object(Desk, "accept", _accept_any_join)]
+        "drop the join fence",
+        "3",
+        ("fenced",),
+        lambda: [patch.object(JobSession, "accept", _accept_any_join)],
     ),
     Mutation(
         "settle twice",
         "5",
         ("settled once",),
-        lambda: [method(Tickets, "close", _keep_settled), method(Tickets, "judge", _settle_again)],
+        lambda: [method(BatchTable, "close", _keep_settled), method(BatchTable, "judge", _settle_again)],
     ),
     Mutation(
         "take a result from a worker that was not leased it",
         "5",
         ("settled once",),
-        lambda: [method(Tickets, "judge", _accept_anybody)],
+        lambda: [method(BatchTable, "judge", _accept_anybody)],
     ),
     Mutation(
         "acknowledge before durable",
         "8",
         ("acknowledged when durable",),
-        lambda: [method(Scribe, "_report", _report_expected)],
+        lambda: [method(Recorder, "_report", _report_expected)],
     ),
     Mutation("forget before durable", "8", ("progress",), lambda: [method(Outbox, "due", _forget_sent)]),
     Mutation(
         "tell out of order",
         "7",
         ("told in order",),
-        lambda: [patch.object(Slot, "arrived", _arrived_with_gaps)],
+        lambda: [patch.object(GenerationBuffer, "arrived", _arrived_with_gaps)],
     ),
     Mutation(
-        "take rows of an older epoch", "8", ("epochs rise",), lambda: [method(Books, "take", _take_any_epoch)]
+        "take rows of an older epoch",
+        "8",
+        ("epochs rise",),
+        lambda: [method(RunStore, "take", _take_any_epoch)],
     ),
     Mutation(
-        "take rows past a gap", "8", ("true journal",), lambda: [method(Intake, "offer", _take_past_gaps)]
+        "take rows past a gap",
+        "8",
+        ("true journal",),
+        lambda: [method(CommitQueue, "offer", _take_past_gaps)],
     ),
     Mutation(
-        "no lease ever passes", "4", ("progress",), lambda: [patch.object(Member, "deadline", lambda *_: inf)]
+        "no lease ever passes", "4", ("progress",), lambda: [patch.object(Worker, "deadline", lambda *_: inf)]
     ),
     Mutation(
         "only lost tokens end leases",
@@ -288,7 +295,7 @@ MUTATIONS = [
         ("progress",),
         lambda: [
             patch.object(
-                Member,
+                Worker,
                 "deadline",
                 lambda member, limit: inf if member.gone_at is None else member.gone_at + 1.0,
             )
@@ -298,31 +305,31 @@ MUTATIONS = [
         "queue again without taking away",
         "5",
         ("nothing is lost",),
-        lambda: [patch.object(Backlog, "remove")],
+        lambda: [patch.object(BatchQueue, "remove")],
     ),
     Mutation(
         "forget what is to be queued again",
         "4",
         ("nothing is lost",),
-        lambda: [method(Dispatch, "_requeue", _forget_requeued)],
+        lambda: [method(Dispatcher, "_requeue", _forget_requeued)],
     ),
     Mutation(
         "a join queues nothing again",
         "4",
         ("nothing is lost",),
-        lambda: [method(Dispatch, "join", _join_without_requeue)],
+        lambda: [method(Dispatcher, "join", _join_without_requeue)],
     ),
     Mutation(
         "ignore credit",
         "1",
         ("bounded work",),
-        lambda: [value(Member, "has_credit", lambda m: len(m.batches) < 9)],
+        lambda: [value(Worker, "has_credit", lambda m: len(m.batches) < 9)],
     ),
     Mutation(
         "give no credit back",
         "1",
         ("nothing is lost",),
-        lambda: [patch.object(Roster, "release", lambda *_: None)],
+        lambda: [patch.object(WorkerRegistry, "release", lambda *_: None)],
     ),
     Mutation(
         "replay skips a row",
@@ -340,7 +347,7 @@ MUTATIONS = [
         "give up while cut off",
         "4",
         ("patience while cut off",),
-        lambda: [patch.object(Roster, "link", lambda *_: None)],
+        lambda: [patch.object(WorkerRegistry, "link", lambda *_: None)],
     ),
     Mutation(
         "send rows once", "8", ("progress",), lambda: [patch.object(Outbox, "_resend", lambda *_: None)]
@@ -353,30 +360,33 @@ MUTATIONS = [
         "8",
         ("progress",),
         lambda: [
-            patch.object(Reports, "heard", lambda *_: None),
-            patch.object(Scribe, "_take_rows", _take_in_silence),
+            patch.object(ReportSchedule, "heard", lambda *_: None),
+            patch.object(Recorder, "_take_rows", _take_in_silence),
         ],
     ),
     Mutation(
-        "never forget a worker", "4", ("bounded memory",), lambda: [method(Roster, "_give_up", _never_forget)]
+        "never forget a worker",
+        "4",
+        ("bounded memory",),
+        lambda: [method(WorkerRegistry, "_give_up", _never_forget)],
     ),
     Mutation(
         "give up for ever again who is gone",
         "4",
         ("no machine spins",),
-        lambda: [method(Roster, "_give_up", _stay_due)],
+        lambda: [method(WorkerRegistry, "_give_up", _stay_due)],
     ),
     Mutation(
         "overlook a worker with credit",
         "1",
         ("work is handed out",),
-        lambda: [method(Roster, "free", _overlook_the_first)],
+        lambda: [method(WorkerRegistry, "free", _overlook_the_first)],
     ),
     Mutation(
         "remember every batch",
         "5",
         ("bounded memory",),
-        lambda: [patch.object(Tickets, "close", _close_and_keep)],
+        lambda: [patch.object(BatchTable, "close", _close_and_keep)],
     ),
     Mutation(
         "poison is tried for ever", "6", ("progress",), lambda: [patch.object(dispatching, "STRIKES", 10**9)]
@@ -385,26 +395,28 @@ MUTATIONS = [
         "a finished run stays in the backlog",
         "7",
         ("bounded memory",),
-        lambda: [method(Dispatch, "withdraw", _withdraw_half)],
+        lambda: [method(Dispatcher, "withdraw", _withdraw_half)],
     ),
     Mutation(
         "the epoch is not stored",
         "8",
         ("epochs rise",),
-        lambda: [patch.object(Holding, "store_epoch", lambda _: None)],
+        lambda: [patch.object(LockedJobFolder, "store_epoch", lambda _: None)],
     ),
     Mutation(
         "pass over a higher epoch",
         "8",
         ("progress",),
-        lambda: [patch.object(Turn, "_take_token", lambda *_: None)],
+        lambda: [patch.object(JobScheduler, "_take_token", lambda *_: None)],
     ),
-    Mutation("keep work of an older epoch", "3", ("fenced",), lambda: [method(Desk, "joined", _keep_held)]),
+    Mutation(
+        "keep work of an older epoch", "3", ("fenced",), lambda: [method(JobSession, "joined", _keep_held)]
+    ),
     Mutation(
         "ask once to join",
         "2",
         ("progress",),
-        lambda: [patch.object(Appointment, "join_later", lambda *_: None)],
+        lambda: [patch.object(JoinState, "join_later", lambda *_: None)],
     ),
 ]
 

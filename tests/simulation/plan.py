@@ -3,7 +3,7 @@
 import random
 from dataclasses import dataclass, field, replace
 
-from tests.coordinator.runs.plans import Plan
+from tests.coordinator.scheduler.search_plans import Plan
 from tests.simulation.network import Terms
 
 FAULTS = {

@@ -1,13 +1,16 @@
 """Commands as a user types them, in processes of their own."""
 
 import json
+import multiprocessing
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +18,52 @@ from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import msgspec
-from tests.patience import PATIENCE
-from tests.system import forked
+from tests.common import PATIENCE, own_endpoint
 
-from qdgrasp_coordinator.campaigns.summary import summary
-from qdgrasp_coordinator.folders.digest import digest
-from qdgrasp_coordinator.folders.folder import RunFolder
+from qdgrasp import entry
+from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
+
+LOADED = [
+    "qdgrasp_coordinator.cli.main",
+    "qdgrasp_coordinator.cli.monitor_process",
+    "qdgrasp_coordinator.scheduler.run_plan",
+    "trimesh",
+]
+_FORKS = multiprocessing.get_context("forkserver")
+_FORKS.set_forkserver_preload(LOADED)
+
+
+def run(words: Sequence[str], home: Path, environment: dict[str, str], said: Sequence[Path]) -> int:
+    """Run a command in a folder; gives its exit code.
+
+    Parameters
+    ----------
+    words
+        The function of `qdgrasp.entry`, and the command's arguments.
+    said
+        Two files, for what it says on standard output and standard error.
+    """
+    process = _FORKS.Process(target=_enter, args=(words, home, environment, said))
+    process.start()
+    process.join(PATIENCE)
+    if process.exitcode is None:
+        process.terminate()
+        raise TimeoutError(f"{' '.join(words)} takes more than {PATIENCE:.0f} s")
+    return process.exitcode
+
+
+def _enter(words: Sequence[str], home: Path, environment: dict[str, str], said: Sequence[Path]) -> None:
+    os.chdir(home)
+    os.environ.clear()
+    os.environ.update(environment)
+    for descriptor, path in enumerate(said, start=1):
+        with path.open("wb") as file:
+            os.dup2(file.fileno(), descriptor)
+    sys.argv = [*words]
+    getattr(entry, words[0])()
+
 
 Found = TypeVar("Found")
 SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
@@ -55,7 +97,7 @@ class Commands:
         with TemporaryDirectory() as folder:
             out, err = said = [Path(folder) / name for name in ("out", "err")]
             words = [entry, *map(str, arguments)]
-            code = forked.run(words, self.home, self._environment(environment), said)
+            code = run(words, self.home, self._environment(environment), said)
             return Done(code, out.read_text(), err.read_text())
 
     def start(
@@ -82,11 +124,11 @@ class Commands:
     def digest(self, folder: str | Path) -> str:
         """What `qdgrasp digest` prints, without a process for it."""
         with RunFolder.open(self.home / folder).journal() as journal:
-            return digest(journal)
+            return journal_digest(journal)
 
     def info(self, folder: str | Path) -> dict:
         """What `qdgrasp info --json` prints, without a process for it."""
-        return json.loads(msgspec.json.encode(summary(RunFolder.open(self.home / folder))))
+        return json.loads(msgspec.json.encode(run_summary(RunFolder.open(self.home / folder))))
 
     def end_all(self) -> None:
         for process in self._started:
@@ -168,3 +210,51 @@ def _told(name: str) -> str:
         return Path("/proc", name).read_text()
     except (FileNotFoundError, ProcessLookupError):
         return ""
+
+
+MONITOR = "qdgrasp_coordinator.cli.monitor_process"
+
+
+class Watched:
+    """A run with two workers on an endpoint of its own, and the address of its page."""
+
+    def __init__(self, qdgrasp: Commands, job: str, *flags: object) -> None:
+        self._qdgrasp, self._job, self._endpoint = qdgrasp, job, own_endpoint()
+        self.folder = qdgrasp.home / "run"
+        place = ("--out", "run", "--job", job, "--listen", self._endpoint)
+        self.run = qdgrasp.start("run", *flags, "--workers", 2, *place)
+        place = ("--connect", self._endpoint, "--wait", 120)
+        self.monitor = qdgrasp.start("--web", "127.0.0.1:0", *place, module=MONITOR)
+        self.address = _address(self.monitor)
+
+    def pauses(self, rows: int) -> None:
+        """Pause the job when so many rows are on disk; nobody works meanwhile, lest it be over before."""
+        wait_for(lambda: rows_recorded(self.folder) >= rows, f"{rows} rows")
+        with held(*pids(self.run, "worker")):
+            self._order("pause")
+
+    def goes_on(self) -> None:
+        """Let a job that was paused go on."""
+        self._order("continue")
+
+    def _order(self, command: str) -> None:
+        done = self._qdgrasp(command, self._job, "--connect", self._endpoint)
+        assert done.code == 0, done.err
+
+    def kill(self, role: str) -> None:
+        """End one process of a role, without a word."""
+        kill(pids(self.run, role)[0])
+
+    def ends(self) -> None:
+        """Wait for the run's end."""
+        _, err = self.run.communicate(timeout=1800)
+        assert self.run.returncode == 0, err
+
+
+def _address(monitor: subprocess.Popen[str]) -> str:
+    assert monitor.stderr is not None
+    for line in monitor.stderr:
+        if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
+            threading.Thread(target=monitor.stderr.read, daemon=True).start()  # so that it never has to wait
+            return found[0]
+    raise AssertionError("the monitor says no address")

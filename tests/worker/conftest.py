@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.evaluator import Evaluator
 
 NEAR = (-1.0, -0.5)
 """Genes nu and d of genomes that look straight at the surface from near by."""

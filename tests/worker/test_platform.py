@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import qdgrasp_worker.platform as module
-from qdgrasp_protocol.outcome import Outcome
-from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker import platform as module
+from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.platform import PROBES, code_digest, platform, probe_digest, probe_scene, probes
 from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 
@@ -46,7 +46,9 @@ def test_trials_that_are_drawn_otherwise_change_the_digest(monkeypatch):
     assert probe_digest() != digest
 
 
-@pytest.mark.parametrize(("name", "counts"), [("episode.py", True), ("cone.py", True), ("service.py", False)])
+@pytest.mark.parametrize(
+    ("name", "counts"), [("episode.py", True), ("surface_priors.py", True), ("service.py", False)]
+)
 def test_the_code_digest_is_of_what_evaluates_and_of_nothing_else(name, counts, monkeypatch):
     digest, read = code_digest(), Path.read_bytes
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + (b"#" if path.name == name else b""))

@@ -7,8 +7,10 @@ import sys
 import pytest
 
 LISTED = "import json, sys; {}; print(json.dumps(sorted(sys.modules)))"
-SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.serving.service, qdgrasp_protocol.zenoh_bus"
-EVALUATE = "import qdgrasp_worker.serving.child; from qdgrasp_worker.platform import platform; platform()"
+SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.runtime.service, qdgrasp_protocol.zenoh_bus"
+EVALUATE = (
+    "import qdgrasp_worker.runtime.simulator_main; from qdgrasp_worker.platform import platform; platform()"
+)
 """All that comes before a worker asks to join: its simulator's imports, and the probes in their scene."""
 SIMULATION = {"pybullet", "numpy", "scipy"}
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "PIL", "ribs", "sklearn", "trimesh"}

@@ -5,17 +5,17 @@ import tempfile
 import msgspec
 import numpy as np
 import pytest
-from tests.changed import with_gripper
+from tests.common import with_gripper
 
 from qdgrasp_assets.catalog import GRIPPERS
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.genome import NO_SYNERGY
-from qdgrasp_worker.grasp import Pose
+from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
 from qdgrasp_worker.world import World
 
-FAR = Pose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY)
+FAR = HandPose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY)
 LEFT, RIGHT = "panda_finger_joint1", "panda_finger_joint2"
 TABLE = {
     "z": [0.014, 0.054, 0.120, 0.175, 0.204, 0.206, 0.181, 0.131, 0.062, 0.016, -0.005, -0.003],
@@ -118,7 +118,7 @@ def test_an_unknown_synergy_is_an_error(world):
 
 
 def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
-    touching = Pose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
+    touching = HandPose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
 
     def trace():
         world.reset(touching, touching.joints)

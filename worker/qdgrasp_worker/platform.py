@@ -9,40 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 import qdgrasp_assets.genes
-import qdgrasp_assets.hulls
-import qdgrasp_assets.obj
-import qdgrasp_assets.objects.solids
-import qdgrasp_assets.rotation
+import qdgrasp_assets.geometry.mesh
+import qdgrasp_assets.geometry.primitives
+import qdgrasp_assets.geometry.rotation
+import qdgrasp_assets.grippers.collision_shapes
+import qdgrasp_assets.grippers.urdf
 import qdgrasp_assets.scene
-import qdgrasp_assets.shapes
-import qdgrasp_assets.stl
-import qdgrasp_assets.urdf
-import qdgrasp_protocol.genome
-import qdgrasp_protocol.outcome
 import qdgrasp_protocol.rows
-import qdgrasp_protocol.trials
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluate import Evaluator
+from qdgrasp_worker.evaluator import Evaluator
 
-SERVING = frozenset({"cli", "platform", "replaying", "serving"})
+NOT_EVALUATING = frozenset({"cli", "platform", "replay", "runtime"})
 """Modules and folders of this room that bring work, carry results away or show them, with no say in them."""
 CONTRACTS = (
     qdgrasp_assets.genes,
-    qdgrasp_assets.hulls,
-    qdgrasp_assets.obj,
-    qdgrasp_assets.objects.solids,
-    qdgrasp_assets.rotation,
+    qdgrasp_assets.grippers.collision_shapes,
+    qdgrasp_assets.geometry.mesh,
+    qdgrasp_assets.geometry.primitives,
+    qdgrasp_assets.geometry.rotation,
     qdgrasp_assets.scene,
-    qdgrasp_assets.shapes,
-    qdgrasp_assets.stl,
-    qdgrasp_assets.urdf,
-    qdgrasp_protocol.genome,
-    qdgrasp_protocol.outcome,
+    qdgrasp_assets.grippers.urdf,
     qdgrasp_protocol.rows,
-    qdgrasp_protocol.trials,
 )
 """Modules of other rooms that an evaluation reads its input by and writes its result by."""
 PROBES = 16
@@ -70,7 +60,7 @@ def code_digest() -> str:
     sources = [
         path
         for path in here.rglob("*.py")
-        if SERVING.isdisjoint(path.relative_to(here).with_suffix("").parts)
+        if NOT_EVALUATING.isdisjoint(path.relative_to(here).with_suffix("").parts)
     ]
     contracts = [Path(str(module.__file__)) for module in CONTRACTS]
     digest = hashlib.sha256()

@@ -1,19 +1,99 @@
-"""The evaluation protocols: one table of frozen values (docs/protocols.md).
+"""Evaluation protocols, one table of frozen values, and the trials that disturb a grasp (docs/protocols.md).
 
-Common to all of them: no gravity, 240 steps a second, 100 steps of closing, then two shakes with three
+Common to all protocols: no gravity, 240 steps a second, 100 steps of closing, then two shakes with three
 targets of 68 steps each. Figures are those of the public code of Huber et al. 2024 (commit 0b8f8da).
+
+In a trial a grasp meets a disturbed object (mixture domain randomisation, Huber et al. 2024, appendix). What
+a trial draws depends on the mixture, the grasp and the trial's number alone: a stored grasp that is scored
+again meets the same trials, and no other grasp does. It is rounded for the reason that poses are
+(`decoder`).
 """
 
+import hashlib
 from dataclasses import dataclass, replace
 from math import pi, radians
 
-from qdgrasp_protocol import trials
-from qdgrasp_worker.grasp import Pose
-from qdgrasp_worker.trial import Mixture, Trial
+import numpy as np
+from numpy.random import Generator
+
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, from_euler, multiply, rotate
+from qdgrasp_protocol import rows
+from qdgrasp_worker.decoder import HandPose
+
+FRICTION_DECIMALS = 6
+"""What frictions are rounded to: in decimals, so that the ends of an interval stay what the table says."""
+
+
+@dataclass(frozen=True)
+class TrialSetup:
+    """What is simulated of a grasp."""
+
+    pose: HandPose
+    """In the CoM frame of the object as it lies in this trial."""
+    frictions: tuple[float, float] | None = None
+    """The object's coefficients of rolling and spinning friction; None: its own."""
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """What trials are drawn from, beginning with 1; trial 0 is the nominal one."""
+
+    position_sigma: float
+    """Of the object's displacement along each axis [m]."""
+    angle_sigma: float
+    """Of each of the angles by which the object turns about the fixed axes x, then y, then z [rad]."""
+    rolling: tuple[float, float]
+    """The interval of its coefficient of rolling friction."""
+    spinning: tuple[float, float]
+    """The interval of its coefficient of spinning friction."""
+    seed: int = 0
+
+    def trial(self, pose: HandPose, number: int) -> TrialSetup:
+        """One of the trials of a grasp; the object turns about its centre of mass, after it is displaced."""
+        random = np.random.default_rng([self.seed, *pose_seed(pose), number])
+        position = random.normal(0.0, self.position_sigma, 3)
+        quaternion = from_euler(random.normal(0.0, self.angle_sigma, (1, 3)))[0]
+        frictions = draw_friction(random, self.rolling), draw_friction(random, self.spinning)
+        return TrialSetup(pose_seen_from(position, quaternion, pose), frictions)
+
+
+def pose_seed(pose: HandPose) -> list[int]:
+    """The sha256 of a grasp as it is simulated: pose and initial joints, float32, and synergy, int8."""
+    numbers = np.array([*pose.position, *pose.quaternion, *pose.joints], dtype="<f4")
+    digest = hashlib.sha256(numbers.tobytes() + np.int8(pose.synergy).tobytes()).digest()
+    words: list[int] = np.frombuffer(digest, dtype="<u4").tolist()
+    return words
+
+
+def pose_seen_from(position: Floats, quaternion: Floats, pose: HandPose) -> HandPose:
+    """A pose in the frame of an object at `position` (3,) [m], turned by `quaternion` (4,).
+
+    Only hand and object are in the world, so that it is the same to displace the one or the other. The
+    object stays at the origin: there Bullet keeps it to the bit, whereas it rounds other rotations anew at
+    every step.
+    """
+    back = conjugate(quaternion)
+    offset = rotate(back, np.array(pose.position) - position)
+    return replace(
+        pose,
+        position=round_to_float32(offset),
+        quaternion=round_to_float32(multiply(back, np.array(pose.quaternion))),
+    )
+
+
+def round_to_float32(values: Floats) -> list[float]:
+    """Values as float32 has them."""
+    single: list[float] = values.astype(np.float32).tolist()
+    return single
+
+
+def draw_friction(random: Generator, interval: tuple[float, float]) -> float:
+    """Draw a coefficient of friction."""
+    return round(random.uniform(*interval), FRICTION_DECIMALS)
+
 
 CLOSING_STEPS = 100
-TARGET_STEPS = 68
-"""How long each target of a shake is pursued."""
+TARGET_STEPS = 68  # How long each target of a shake is pursued
 
 
 @dataclass(frozen=True)
@@ -53,11 +133,11 @@ class EvaluationProtocol:
     @property
     def trials(self) -> int:
         """How many trials there are besides trial 0, the nominal one."""
-        return trials.trials(self.name)
+        return rows.trial_count(self.name)
 
-    def trial(self, pose: Pose, number: int) -> Trial:
+    def trial(self, pose: HandPose, number: int) -> TrialSetup:
         """A grasp in one of its trials; 0 is the grasp as it was commanded."""
-        return self.mixture.trial(pose, number) if self.mixture and number else Trial(pose)
+        return self.mixture.trial(pose, number) if self.mixture and number else TrialSetup(pose)
 
 
 SHAKES = (

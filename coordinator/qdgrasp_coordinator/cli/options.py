@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from qdgrasp_protocol.errors import ImpossibleValue
+
 Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
 Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
 Mass = Annotated[float | None, typer.Option(help="Mass of the object [kg]; needed for a mesh file.")]
@@ -47,3 +49,17 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and no
 def cores() -> int:
     """The cores this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """The host and the port in `127.0.0.1:8080` or `[::1]:8080`.
+
+    Raises
+    ------
+    ImpossibleValue
+        The text is not of that form.
+    """
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdecimal() and int(port) < 1 << 16):
+        raise ImpossibleValue("--web", text, "HOST:PORT, such as 127.0.0.1:8080")
+    return host.removeprefix("[").removesuffix("]"), int(port)

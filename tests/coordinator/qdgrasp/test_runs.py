@@ -10,9 +10,9 @@ from tests.coordinator.scenes import made_scene
 
 import qdgrasp
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
-from qdgrasp_protocol.rows import Shape
+from qdgrasp_protocol.rows import RowShape
 
-GIVEN = Shape(genes=7, joints=2)
+GIVEN = RowShape(genes=7, joints=2)
 
 
 @pytest.fixture(scope="module")

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from tests.worker.aiming import CANDIDATES, WEIGHTS, encoded, facing
+from tests.worker.aimed_genomes import CANDIDATES, WEIGHTS, encoded, facing
 
-from qdgrasp_worker.decode import Decoder
-from qdgrasp_worker.surface import Surface
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.object_geometry import ObjectSurface
 
 N, K = 40, 32
 
 
 def decode(scene, values):
-    return Decoder(scene, "aimed", Surface(scene))(encoded(scene, values))
+    return Decoder(scene, "aimed", ObjectSurface(scene))(encoded(scene, values))
 
 
 @pytest.fixture(scope="module")
@@ -108,13 +108,13 @@ def test_loose_candidates_take_contact_points_from_all_over_the_surface(cube, va
 
 def test_candidates_depend_on_the_bytes_of_their_genome_alone(cube, values, grasps) -> None:
     genomes = encoded(cube, values)
-    alone = Decoder(cube, "aimed", Surface(cube))(genomes[7:8])
+    alone = Decoder(cube, "aimed", ObjectSurface(cube))(genomes[7:8])
     mine = grasps.rows == 7
     np.testing.assert_array_equal(alone.positions, grasps.positions[mine])
     np.testing.assert_array_equal(alone.quaternions, grasps.quaternions[mine])
     other = genomes[7:8].copy()
     other[0, -1] = np.nextafter(other[0, -1], np.float32(1.0))  # the weight of the constant
-    changed = Decoder(cube, "aimed", Surface(cube))(other)
+    changed = Decoder(cube, "aimed", ObjectSurface(cube))(other)
     assert not (changed.positions == alone.positions).all(axis=1).any()
 
 

@@ -1,4 +1,4 @@
-"""The keys that are pressed at a terminal, one at a time, while somebody looks at it."""
+"""Reads keys from a terminal, one at a time."""
 
 import os
 import select
@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Self
 
-from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_protocol.process import Stop
 
 SEQUENCES = {
     b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1b[D": "left",
@@ -24,7 +24,7 @@ SEQUENCES = {
 LONGEST = max(map(len, SEQUENCES))
 
 
-def keys(data: bytes) -> list[str]:
+def parse_keys(data: bytes) -> list[str]:
     """The keys in what a terminal sent; what is unknown is left out."""
     found: list[str] = []
     while data:
@@ -85,7 +85,7 @@ class Keyboard:
             return []
         if not (data := os.read(self._source, 64)):
             self._source = None  # whoever sat there is gone
-        return keys(data)
+        return parse_keys(data)
 
 
 @contextmanager

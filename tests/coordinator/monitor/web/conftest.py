@@ -10,14 +10,13 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 from tests import browser
+from tests.common import PATIENCE
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
-from tests.patience import PATIENCE
 
 from qdgrasp_coordinator.monitor.web.access import Access
-from qdgrasp_coordinator.monitor.web.app import Site, application, serve
-from qdgrasp_coordinator.monitor.web.libraries import Library
-from qdgrasp_coordinator.monitor.web.live_site import LiveSite
-from qdgrasp_protocol.lifetime import Stop
+from qdgrasp_coordinator.monitor.web.routes import LiveSite, RunLibrary
+from qdgrasp_coordinator.monitor.web.server import Site, application, serve
+from qdgrasp_protocol.process import Stop
 
 HERE = "127.0.0.1"
 
@@ -66,7 +65,7 @@ def free_port() -> int:
 
 
 def serving(
-    feed: FakeFeed, port: int, token: str = "", library: Library | None = None
+    feed: FakeFeed, port: int, token: str = "", library: RunLibrary | None = None
 ) -> AbstractContextManager[str]:
     """A server of a live page in a thread; gives its address, and ends it in the end."""
     return serving_site(LiveSite(feed, library or FakeLibrary()), port, token)

@@ -1,25 +1,37 @@
-"""Jobs as a feed knows them, made by hand: they go on by a step whenever they are told to."""
+"""Jobs, finds and records made by hand, for the page."""
 
 import threading
 import time
 from base64 import b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from tests.coordinator.monitor import shown
+from numpy.typing import ArrayLike
+from tests.coordinator.monitor import sample_jobs
 
-from qdgrasp_coordinator.counts.events import Event
-from qdgrasp_coordinator.counts.figures import Figures, to_json
-from qdgrasp_coordinator.counts.team import WorkerFigures
-from qdgrasp_coordinator.monitor.jobs import Jobs, JobView
-from qdgrasp_coordinator.monitor.web.geometry import Kind, Link, Stage, Triangles
-from qdgrasp_coordinator.monitor.web.voxels import HEADER, MARK
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.job_status import JobEvent, RunListings, RunStatus, WorkerStatus, to_json
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
+from qdgrasp_coordinator.monitor.job_model import JobModels
+from qdgrasp_coordinator.monitor.job_view import JobView
+from qdgrasp_coordinator.monitor.records import JournalId, RecordPage, RunLocation
+from qdgrasp_coordinator.monitor.web.scene_data import (
+    HEADER,
+    MARK,
+    BrowserScene,
+    LinkMesh,
+    SuccessKind,
+    TriangleMesh,
+)
+from qdgrasp_coordinator.storage.success_pages import SuccessTable, success_dtype
 from qdgrasp_protocol.errors import NoReply, UnknownName
 from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.rows import Outcome
 
 BUDGET = 90_000
 STEP = 60
@@ -29,7 +41,7 @@ class FakeFeed:
     """A single run `mug`, and a job `hands` of six."""
 
     def __init__(self) -> None:
-        self.jobs = Jobs()
+        self.jobs = JobModels()
         self.steps = 0
         self.gone: set[int] = set()
         self.lock = threading.Lock()
@@ -57,7 +69,7 @@ class FakeFeed:
 
     def happen(self, words: str, kind: str = "worker") -> None:
         """Have something happen in the job `mug`."""
-        event = Event(number=1000 + self.steps, at=datetime.now(UTC), kind=kind, words=words)  # type: ignore[arg-type]
+        event = JobEvent(number=1000 + self.steps, at=datetime.now(UTC), kind=kind, words=words)  # type: ignore[arg-type]
         with self.lock:
             self.jobs.answered({Keys("mug").event(kind): to_json(event)}, time.time())
 
@@ -99,7 +111,7 @@ def _values(job: str, runs: list[str], steps: int, gone: set[int], at: float) ->
         )
     }
     done = len(runs) if told == BUDGET else 0
-    figures = shown.figures(
+    figures = sample_jobs.figures(
         job=job,
         runs=len(runs),
         runs_open=len(runs) - done,
@@ -113,15 +125,17 @@ def _values(job: str, runs: list[str], steps: int, gone: set[int], at: float) ->
     )
     team = [_worker(number, number in gone, told) for number in range(4)]
     values = {
-        keys.meta: replace(shown.meta(job, len(runs)), since=datetime.fromtimestamp(at - 40 - steps, UTC)),
+        keys.meta: replace(
+            sample_jobs.meta(job, len(runs)), since=datetime.fromtimestamp(at - 40 - steps, UTC)
+        ),
         keys.stat("job"): figures,
         **{keys.stat(f"run/{one.run}"): one for one in courses},
-        **{keys.stat(f"team/{page.page}"): page for page in shown.team(*team)},
+        **{keys.stat(f"team/{page.page}"): page for page in sample_jobs.team(*team)},
     }
     return {key: to_json(value) for key, value in values.items()}
 
 
-def _run(name: str, told: int, steps: int, number: int) -> Figures:
+def _run(name: str, told: int, steps: int, number: int) -> RunStatus:
     share = 0.28 + 0.04 * number
     held, shaken, dropped = int(told * share * 0.4), int(told * share * 0.15), int(told * share * 0.45)
     rest = told - held - shaken - dropped
@@ -134,7 +148,7 @@ def _run(name: str, told: int, steps: int, number: int) -> Figures:
         "shaken": shaken,
         "held": held,
     }
-    return shown.run(
+    return sample_jobs.run(
         name,
         evaluations=told,
         budget=BUDGET,
@@ -155,8 +169,8 @@ def _run(name: str, told: int, steps: int, number: int) -> Figures:
     )
 
 
-def _worker(number: int, is_gone: bool, told: int) -> WorkerFigures:
-    return shown.worker(
+def _worker(number: int, is_gone: bool, told: int) -> WorkerStatus:
+    return sample_jobs.worker(
         number,
         host=f"node{number // 2 + 1}",
         pid=4100 + number,
@@ -194,8 +208,8 @@ class FakeLibrary:
 
 CORNERS = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], "<f4")
 SIDES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u4")
-MESH = Triangles(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes()).decode())
-STAGE = Stage(
+MESH = TriangleMesh(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes()).decode())
+STAGE = BrowserScene(
     gripper="panda",
     object="mug",
     base="palm",
@@ -206,8 +220,91 @@ STAGE = Stage(
     low=(0, 0, 0),
     high=(0.05, 0.05, 0.05),
     reach=0.2,
-    kinds=[Kind(5, "no shake survived", "#bdb7ad"), Kind(6, "one", "#f2a431"), Kind(7, "both", "#2a73b9")],
+    kinds=[
+        SuccessKind(5, "no shake survived", "#bdb7ad"),
+        SuccessKind(6, "one", "#f2a431"),
+        SuccessKind(7, "both", "#2a73b9"),
+    ],
     mesh=MESH,
-    links=[Link("palm", False, MESH)],
+    links=[LinkMesh("palm", False, MESH)],
     origin=7,
 )
+
+
+def finds(
+    numbers: ArrayLike,
+    places: ArrayLike,
+    outcomes: ArrayLike,
+    joints: int = 2,
+    synergies: ArrayLike = -1,
+    etas: ArrayLike = -1,
+) -> SuccessTable:
+    """Finds with these journal numbers (n,), in these cells (n, 3), with these outcomes (n,) and so on."""
+    made = np.zeros(len(np.asarray(numbers)), success_dtype(joints))
+    made["number"], made["outcome"], made["synergy"], made["eta"] = numbers, outcomes, synergies, etas
+    made["descriptor"] = np.asarray(places) / 100
+    made["base_to_object"][:, :3] = made["descriptor"]
+    made["base_to_object"][:, 6] = 1
+    made["fitness"] = made["outcome"].astype(int) - Outcome.DROPPED
+    return made
+
+
+def random_finds(n: int, reach: int = 3, seed: int = 0) -> SuccessTable:
+    """So many finds in few cells, so that many of them meet; every other row of the journal is one."""
+    random = np.random.default_rng(seed)
+    places = random.integers(-reach, reach + 1, (n, 3))
+    outcomes = random.integers(Outcome.DROPPED, Outcome.HELD + 1, n)
+    labels, etas = random.integers(-1, 2, n), random.choice([-1, 0, 0.25, 0.5, 1], n)
+    return finds(2 * np.arange(n), places, outcomes, synergies=labels, etas=etas)
+
+
+ORIGIN = JournalId("1" * 64, 1.0)
+
+
+@dataclass
+class HandMadeRecords:
+    """A single run, of whose finds each page has a few; counts what it was asked."""
+
+    a_scene: Scene
+    found: SuccessTable = field(default_factory=lambda: finds([], np.zeros((0, 3)), []))
+    rows: int = 0
+    on_a_page: int = 4
+    asked: int = 0
+    run: str = "run"
+    origin: JournalId = ORIGIN
+    listed: int = 0
+
+    def record(self, found: SuccessTable) -> None:
+        """Have found these too."""
+        self.found = np.concatenate([self.found, found])
+        self.rows = int(self.found["number"][-1]) + 1
+
+    def become(self, scene: Scene, origin: JournalId, found: SuccessTable) -> None:
+        """Be the records of another job of the same name."""
+        self.a_scene, self.origin, self.found = scene, origin, found
+        self.rows = int(found["number"][-1]) + 1
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        assert digest == self.origin.scene
+        return self.a_scene
+
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        self.asked += 1
+        if run != self.run:
+            raise UnknownName("run", run, [self.run])
+        start = int(np.searchsorted(self.found["number"], first))
+        shown = self.found[start : start + self.on_a_page]
+        more = start + self.on_a_page < len(self.found)
+        return RecordPage(
+            self.origin, shown, int(shown["number"][-1]) + 1 if more else max(first, self.rows), self.rows
+        )
+
+    def entries(self, job: str) -> RunListings:
+        self.listed += 1
+        return RunListings(runs=[])
+
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        return GrowthCurve(run=run, points=[])
+
+    def place(self, job: str, run: str) -> RunLocation:
+        return RunLocation("runs/mug")

@@ -7,14 +7,13 @@ import pytest
 from msgspec.structs import replace
 from tests import browser
 from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import FakeFeed
-from tests.coordinator.monitor.web.finds import HandMadeRecords, finds
+from tests.coordinator.monitor.web.fakes import FakeFeed, HandMadeRecords, finds
 from tests.coordinator.monitor.web.test_scene import expect
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.scene import Scene, Synergy
-from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
-from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_protocol.rows import Outcome
 
 pytestmark = browser.needed
 NUMBERS = [2, 3, 5, 8, 9, 12]
@@ -45,7 +44,7 @@ def records() -> HandMadeRecords:
 def page(chromium: Any, records: HandMadeRecords) -> Iterator[Page]:
     feed = FakeFeed()
     feed.step()
-    with serving(feed, free_port(), library=Exhibits(records)) as address:
+    with serving(feed, free_port(), library=RunCaches(records)) as address:
         visit = browser.Visit(chromium, f"{address}/#job=mug")
         expect(visit.page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
         visit.page.locator("#scene-filters summary").click()
@@ -187,7 +186,7 @@ def test_a_hand_without_synergies_or_eta_has_no_such_filters(chromium: Any) -> N
     records, feed = HandMadeRecords(made_scene(), run="mug"), FakeFeed()
     records.record(FOUND)
     feed.step()
-    with serving(feed, free_port(), library=Exhibits(records)) as address:
+    with serving(feed, free_port(), library=RunCaches(records)) as address:
         visit = browser.Visit(chromium, f"{address}/#job=mug")
         expect(visit.page.locator("#scene-words")).to_contain_text("cells of 1 cm")
         visit.page.locator("#scene-filters summary").click()

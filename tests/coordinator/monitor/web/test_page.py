@@ -1,4 +1,4 @@
-"""The page in a browser: what a person sees of jobs made by hand."""
+"""The page in a browser: jobs made by hand."""
 
 import re
 import time
@@ -7,11 +7,15 @@ from itertools import count
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from tests import browser
 from tests.browser import PATIENCE, PHONE, figure, number
+from tests.coordinator.monitor.sample_jobs import curve, run, values
 from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed
-from tests.coordinator.serving.served import until
+from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, FakeLibrary
+from tests.coordinator.scheduler.fakes import until
+
+from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings, to_json
 
 pytestmark = browser.needed
 Page = Any
@@ -311,3 +315,41 @@ def test_the_token_opens_the_page_and_leaves_the_address(look: Look) -> None:
         expect(page.locator("#link")).to_have_text("live", timeout=PATIENCE)
         assert page.url == f"{place}/"
         page.context.close()
+
+
+OVER = run("over", evaluations=1000, cells=100, finished="its budget is spent")
+
+
+class Recorded(FakeLibrary):
+    """A library that knows how the run `over` of `mugs` grew: all its cells came at once."""
+
+    def runs(self, job: str) -> bytes:
+        known = {name: getattr(OVER, name) for name in RunListing.__struct_fields__}
+        return to_json(RunListings(runs=[RunListing(**known)]))
+
+    def scene(self, job: str, run: str) -> bytes:
+        return super().scene(job, "mug")
+
+    def curve(self, job: str, run: str) -> bytes:
+        grown = curve(run, *range(100, 1001, 100))
+        points = [replace(point, cells=100) for point in grown.points]
+        return to_json(replace(grown, points=points))
+
+
+def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one() -> None:
+    feed = FakeFeed()
+    feed.jobs.answered(values(), time.time())
+    with serving(feed, free_port(), library=Recorded()) as place, browser.launched() as chromium:
+        visit = browser.Visit(chromium, f"{place}/#job=mugs&run=over")
+        over, legend = visit.page.locator("#cells .u-over"), visit.page.locator("#cells-legend dd")
+        over.wait_for(timeout=PATIENCE)
+        box, nudges = over.bounding_box(), count()
+        assert box is not None
+        until(lambda: under(visit.page, legend, box["x"] + 0.4 * box["width"] + next(nudges) % 3) == "100")
+        assert visit.complaints == []
+
+
+def under(page: Any, legend: Any, x: float) -> str:
+    """What the legend says of the cells where the cursor is."""
+    page.mouse.move(x, page.locator("#cells .u-over").bounding_box()["y"] + 9)
+    return str(legend.inner_text())

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from tests import browser
 from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed
-from tests.coordinator.monitor.web.finds import HandMadeRecords, finds, random_finds
+from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, HandMadeRecords, finds, random_finds
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.monitor.records import JournalId
-from qdgrasp_coordinator.monitor.web.exhibits import Exhibits
-from qdgrasp_protocol.outcome import Outcome
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_protocol.rows import Outcome
 
 pytestmark = browser.needed
 FEW = finds(
@@ -73,7 +72,7 @@ def records() -> HandMadeRecords:
 def place(records: HandMadeRecords) -> Iterator[str]:
     feed = FakeFeed()
     feed.step()
-    with serving(feed, free_port(), library=Exhibits(records)) as address:
+    with serving(feed, free_port(), library=RunCaches(records)) as address:
         yield f"{address}/#job=mug"
 
 
@@ -119,7 +118,7 @@ def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRe
     feed = FakeFeed()
     feed.steps = BUDGET // STEP
     feed.step(time.time() - 40)
-    with serving(feed, free_port(), library=Exhibits(records)) as address:
+    with serving(feed, free_port(), library=RunCaches(records)) as address:
         for page in visited(chromium, f"{address}/#job=mug"):
             expect(page.locator("#state")).to_contain_text("ended")
             expect(page.locator("#scene-words")).to_have_text(

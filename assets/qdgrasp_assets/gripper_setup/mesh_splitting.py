@@ -1,0 +1,260 @@
+"""Collision meshes for the simulator: in metres, as OBJ, hollow ones split into parts.
+
+The simulator wraps each mesh in its convex hull, and so fills those that are hollow.
+"""
+
+import io
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import isclose
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from qdgrasp_assets.geometry.collision_parts import (
+    DecompositionTimeout,
+    FingerClearance,
+    decompose,
+    simplify_part,
+)
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, stl_triangles
+from qdgrasp_assets.geometry.primitives import hull
+from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners
+from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements, mesh_bytes
+from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
+from qdgrasp_assets.grippers.urdf_checks import LARGEST_SHAPE, SIMULATOR_FORMATS
+from qdgrasp_protocol.errors import AssetError
+
+MUCH_FILLED = 0.1  # A link is hollow where its hull fills the room in front of this share of its surface
+VOLUME_TOLERANCE = 0.001  # Volumes that differ by at most this share are taken as equal
+SPACE_DIMENSIONS = 3  # Number of dimensions
+
+
+@dataclass(frozen=True)
+class HollowMesh:
+    """A collision mesh whose hull fills its hollows."""
+
+    link: str
+    name: str
+    """Name of the mesh in the URDF."""
+    filled: float
+    """Share of the surface in front of which the hull fills free space."""
+
+
+def hollow_meshes(hand: Urdf) -> Iterator[HollowMesh]:
+    """Return the collision meshes of a hand whose hulls are much larger than they are."""
+    for link, shape in collision_elements(hand):
+        mesh = shape.find("geometry/mesh")
+        if mesh is None or shape.get(CONCAVE) is not None:
+            continue
+        parts = tuple(hull(corners) for corners in collision_corners(hand, link, shape) if is_solid(corners))
+        surface = read_shape(hand, shape, mesh)
+        if not parts or are_all_of(surface, parts):
+            continue
+        filled = FingerClearance(surface).fit(parts).filled
+        if filled > MUCH_FILLED:
+            yield HollowMesh(link, mesh.get("filename", ""), filled)
+
+
+def are_all_of(mesh: Mesh, hulls: Sequence[Mesh]) -> bool:
+    """Return whether convex parts are the whole mesh, by volume."""
+    return isclose(sum(part.volume for part in hulls), mesh.volume, rel_tol=VOLUME_TOLERANCE)
+
+
+def read_shape(hand: Urdf, shape: ET.Element, element: ET.Element) -> Mesh:
+    """Return the triangles of a `<mesh>` shape in its link's frame [m]."""
+    mesh = read_mesh_of(hand.path, element)
+    frame = parse_origin(hand.path, shape.find("origin"))
+    return Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces)
+
+
+def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
+    """Read the mesh that a `<mesh>` names, scaled; coincident vertices merged.
+
+    Raises
+    ------
+    AssetError
+        The mesh does not exist, or cannot be read.
+    """
+    import trimesh
+
+    name = element.get("filename", "")
+    content, kind = mesh_bytes(urdf, name), PurePosixPath(name).suffix.removeprefix(".").lower()
+    try:
+        read = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
+    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
+        raise AssetError(
+            f"The mesh '{name}' cannot be read ({type(error).__name__}: {error}); save it as an STL or "
+            "OBJ file."
+        ) from None
+    read.merge_vertices(merge_tex=True, merge_norm=True)
+    scale = attribute_numbers(element, "scale", "1 1 1")
+    mesh = Mesh(np.asarray(read.vertices, dtype=np.float64) * scale, np.asarray(read.faces, dtype=np.int64))
+    return mesh.flipped() if np.prod(scale) < 0 else mesh
+
+
+def is_solid(corners: Floats) -> bool:
+    """Return whether corners (v, 3) span three dimensions."""
+    return bool(len(corners) and np.linalg.matrix_rank(corners - corners[0], tol=1e-7) == SPACE_DIMENSIONS)
+
+
+THRESHOLDS = (0.2, 0.1, 0.05)
+"""Concavities for CoACD, in the order tried: the first whose parts leave the room is taken."""
+TIME_LIMIT = 600.0  # Time limit of CoACD for one mesh at one concavity [s]
+MILLIMETRES = 0.001
+FEW_TRIANGLES = 4000  # Triangles above which a mesh is thinned before it is split
+NEAR_VERTICES = 1.5e-3  # Vertices of such a mesh that are in the same cube of this size become one [m]
+
+Tell = Callable[[str], None]
+
+
+class MeshSplitter:
+    """Rewrites the collision meshes of a hand.
+
+    Parameters
+    ----------
+    path
+        The URDF that names them.
+    folder
+        Folder of the new meshes, relative to the URDF that will be written.
+    tell
+        Called with a sentence before each slow step.
+    """
+
+    def __init__(self, path: Path, folder: str, tell: Tell) -> None:
+        self._path = path
+        self._folder = folder
+        self._tell = tell
+        self.files: dict[str, bytes] = {}
+        """Contents by the path that the URDF to be written names them with."""
+        self._done: dict[tuple[str, str], tuple[str, str]] = {}
+        """New file and change in words, by mesh and scale."""
+
+    def mend(self, hand: Urdf) -> Iterator[str]:
+        """Rewrite the meshes of a hand for the simulator, in its element; yields the changes."""
+        for link, shape in collision_elements(hand):
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                continue
+            key = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
+            if key not in self._done:
+                self._done[key] = self._made(link, mesh)
+            file, words = self._done[key]
+            mesh.attrib.pop("scale", None)
+            mesh.set("filename", file)
+            if words:
+                yield f"the mesh '{key[0]}' of the link '{link}' {words}"
+
+    def corners(self, hand: Urdf, link: str) -> tuple[Floats, ...]:
+        """Return the corners (v, 3) of the mended link's convex parts [m], link frame."""
+        return tuple(
+            corners
+            for name, shape in collision_elements(hand)
+            if name == link
+            for corners in self._corners(hand, link, shape)
+        )
+
+    def _corners(self, hand: Urdf, link: str, shape: ET.Element) -> Iterator[Floats]:
+        mesh = shape.find("geometry/mesh")
+        if mesh is None:
+            yield from collision_corners(hand, link, shape)
+            return
+        frame = parse_origin(hand.path, shape.find("origin"))
+        for corners in obj_group_corners(self.files[mesh.get("filename", "")].decode()):
+            yield corners @ frame[:3, :3].T + frame[:3, 3]
+
+    def _made(self, link: str, element: ET.Element) -> tuple[str, str]:
+        """Write a mesh anew; return its new name and the change."""
+        name = element.get("filename", "")
+        mesh, words = _in_metres(read_mesh_of(self._path, element))
+        parts, more = self._parts(link, name, element, mesh)
+        file = self._new_name(PurePosixPath(name).stem)
+        self.files[file] = parts_to_obj(parts)
+        return file, " and ".join(told for told in (words, more) if told)
+
+    def _parts(self, link: str, name: str, element: ET.Element, mesh: Mesh) -> tuple[tuple[Mesh, ...], str]:
+        """Return the convex parts that stand for a mesh, and the change in words."""
+        own = self._own(name, element, mesh)
+        room = FingerClearance(mesh)
+        filled = room.fit(own).filled
+        if filled <= MUCH_FILLED:
+            return own, "" if _is_taken(
+                self._path, name
+            ) else "was made a convex hull, as the simulator reads no such file"
+        self._tell(f"splitting the mesh '{name}' of the link '{link}' into convex parts")
+        try:
+            found, left = _split_mesh(mesh, name, room)
+        except DecompositionTimeout:
+            return (
+                own,
+                f"stays a hull that fills the room before {100 * filled:.0f} % of its surface: no parts "
+                "were found in time",
+            )
+        return found, (
+            f"was split into {len(found)} convex parts: its hull would fill the room before "
+            f"{100 * filled:.0f} % of "
+            f"its surface, they fill {100 * left:.0f} %"
+        )
+
+    def _own(self, name: str, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:
+        """Return the hulls that the simulator itself would make of a mesh, with few corners."""
+        shapes = [mesh.vertices]
+        if PurePosixPath(name).suffix.lower() == ".obj":
+            text = mesh_bytes(self._path, name).decode("utf-8", "replace")
+            shapes = [
+                corners * attribute_numbers(element, "scale", "1 1 1") for corners in obj_group_corners(text)
+            ]
+            factor = np.ptp(mesh.vertices) / max(np.ptp(np.concatenate(shapes)), 1e-12)
+            shapes = [corners * factor for corners in shapes]
+        solids = tuple(simplify_part(hull(corners)) for corners in shapes if is_solid(corners))
+        if not solids:
+            raise AssetError(f"The mesh '{name}' is flat: it encloses no volume; give it a thickness.")
+        return solids
+
+    def _new_name(self, stem: str) -> str:
+        """Return an unused name for a mesh."""
+        file, turn = f"{self._folder}/{stem}.obj", 1
+        while file in self.files:
+            file, turn = f"{self._folder}/{stem}_{turn}.obj", turn + 1
+        return file
+
+
+def _split_mesh(mesh: Mesh, name: str, room: FingerClearance) -> tuple[tuple[Mesh, ...], float]:
+    """Return the fewest parts that leave the free space, else the finest; and the share filled."""
+    thin = thin_mesh(mesh)
+    for threshold in THRESHOLDS:
+        found = decompose(thin, name, threshold, TIME_LIMIT)
+        left = room.fit(found).filled
+        if left <= MUCH_FILLED:
+            break
+    return found, left
+
+
+def thin_mesh(mesh: Mesh) -> Mesh:
+    """Merge vertices nearer than a finger can tell, in a mesh of many triangles."""
+    if len(mesh.faces) <= FEW_TRIANGLES:
+        return mesh
+    _, which = np.unique(np.round(mesh.vertices / NEAR_VERTICES), axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    counts = np.bincount(which)
+    middles = np.stack([np.bincount(which, mesh.vertices[:, axis]) / counts for axis in range(3)], axis=1)
+    faces = which[mesh.faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    _, first = np.unique(np.sort(faces[whole], axis=1), axis=0, return_index=True)
+    return Mesh(middles, faces[whole][np.sort(first)])
+
+
+def _in_metres(mesh: Mesh) -> tuple[Mesh, str]:
+    side = float(np.ptp(mesh.vertices, axis=0).max())
+    if side <= LARGEST_SHAPE:
+        return mesh, ""
+    return Mesh(
+        mesh.vertices * MILLIMETRES, mesh.faces
+    ), f"was {side:.4g} m large, and is taken for millimetres"
+
+
+def _is_taken(path: Path, name: str) -> bool:
+    """Return whether the simulator reads a mesh file as it is."""
+    kind = PurePosixPath(name).suffix.lower()
+    return kind in SIMULATOR_FORMATS and (kind != ".stl" or stl_triangles(mesh_bytes(path, name)) is not None)

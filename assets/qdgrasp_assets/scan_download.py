@@ -1,0 +1,374 @@
+"""Download of YCB scans, accepted only with a known hash or the expected dimensions.
+
+A download goes on where it broke off (HTTP ranges), with a limit on bytes and on silence. One file is taken
+out of a gzipped tar archive: nothing else is unpacked, and no name in it becomes a path here.
+"""
+
+import hashlib
+import http.client
+import re
+import ssl
+import tarfile
+import tempfile
+import urllib.error
+import urllib.request
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from qdgrasp_assets.asset_paths import data_folder
+from qdgrasp_assets.geometry.mesh_io import read_mesh
+from qdgrasp_assets.geometry.mesh_repair import surface_faults
+from qdgrasp_assets.ycb import (
+    SCANS,
+    ArchivePin,
+    Scan,
+    correct_mesh,
+    fetched_mesh,
+    read_pin,
+    scan_differences,
+    users_lock,
+    write_atomically,
+    write_pin,
+)
+from qdgrasp_protocol.errors import AssetError, UnknownName, WrongScan
+
+LARGEST_MEMBER = 1 << 28  # bytes; the mesh of a scan has one or two megabytes
+LARGEST_WHOLE = 1 << 31
+TAR_HEADER = 512  # bytes of a header
+
+
+def read_member(archive: Path, member: str) -> bytes:
+    """Return the content of the file `member` of a `.tgz`.
+
+    Raises
+    ------
+    AssetError
+        There is no such file in it, it is no file or too large, or the archive is none or broken.
+    """
+    try:
+        with tarfile.open(archive, mode="r|gz") as tar:
+            return _find_member(tar, archive, member)
+    except (tarfile.TarError, zlib.error, EOFError, OSError) as error:
+        raise AssetError(f"'{archive.name}' is not a whole tar archive: {error}.") from None
+
+
+def _find_member(tar: tarfile.TarFile, archive: Path, member: str) -> bytes:
+    unpacked = 0
+    for entry in tar:
+        unpacked += TAR_HEADER + entry.size
+        if unpacked > LARGEST_WHOLE:
+            raise AssetError(f"'{archive.name}' unpacks to more than {LARGEST_WHOLE} bytes.")
+        if PurePosixPath(entry.name) == PurePosixPath(member):
+            return _member_content(tar, entry, archive)
+    raise AssetError(f"There is no '{member}' in '{archive.name}'.")
+
+
+def _member_content(tar: tarfile.TarFile, entry: tarfile.TarInfo, archive: Path) -> bytes:
+    file = tar.extractfile(entry) if entry.isreg() else None
+    if file is None:
+        raise AssetError(f"'{entry.name}' in '{archive.name}' is not a file.")
+    if entry.size > LARGEST_MEMBER:
+        raise AssetError(f"'{entry.name}' in '{archive.name}' has {entry.size} bytes, too many for a scan.")
+    return file.read()
+
+
+ATTEMPTS = 5  # Consecutive connections without new bytes before a download is given up
+SILENCE_LIMIT = 30.0  # s without a byte
+LARGEST_DOWNLOAD = 1 << 29  # bytes; the archives of scans have tens of megabytes
+CHUNK = 1 << 16
+CONTENT_RANGE = re.compile(r"bytes (?:(\d+)-\d+|\*)/(\d+)")
+
+Progress = Callable[[int, int | None], None]
+"""Called with the bytes received and the bytes expected, None if the server does not say."""
+
+
+class ConnectionBroken(Exception):
+    """Error of a connection that ended before the file did; another attempt may succeed."""
+
+
+NETWORK_ERRORS = (
+    ConnectionBroken,
+    urllib.error.URLError,
+    http.client.HTTPException,
+    ssl.SSLError,
+    TimeoutError,
+    ConnectionError,
+)
+"""Errors of the network or server; any other error is one of the local disk."""
+
+
+def download(
+    url: str, file: Path, progress: Progress = lambda _here, _all: None, patience: float = SILENCE_LIMIT
+) -> None:
+    """Download `url` into `file`, resuming an earlier partial download.
+
+    The bytes that came are kept in `file` with `.part` at its end until all of them are there.
+
+    Parameters
+    ----------
+    url
+        An http or https address.
+    progress
+        Is told how far it is.
+    patience
+        How long a server may send nothing [s].
+
+    Raises
+    ------
+    AssetError
+        There is no such file, the server cannot be reached, or it breaks off or stalls again and again.
+    OSError
+        The file cannot be written.
+    """
+    if not url.startswith(("http://", "https://")):
+        raise AssetError(f"Scans are fetched from an http or https address, got '{url}'.")
+    part = file.with_name(file.name + ".part")
+    part.parent.mkdir(parents=True, exist_ok=True)
+    fruitless = 0
+    while True:
+        before = _size(part)
+        try:
+            _continue_download(url, part, progress, patience)
+            break
+        except NETWORK_ERRORS as error:
+            fruitless = 0 if _size(part) > before else fruitless + 1
+            if fruitless == ATTEMPTS or not _is_transient(error):
+                raise _given_up(url, part, error) from None
+    _etag_file(part).unlink(missing_ok=True)
+    part.replace(file)
+
+
+def _continue_download(url: str, part: Path, progress: Progress, patience: float) -> None:
+    """Make one connection and append the bytes that `part` lacks."""
+    with _open_request(url, part, patience) as response:
+        start, total = _extent(response, _size(part))
+        if total is not None and total > LARGEST_DOWNLOAD:
+            raise AssetError(
+                f"'{url}' has {total} bytes, more than the {LARGEST_DOWNLOAD} that a scan may have."
+            )
+        if start and start == total:
+            return
+        _write_etag(part, response.headers.get("ETag"))
+        with part.open("r+b" if start else "wb") as file:
+            file.seek(start)
+            here = start
+            while chunk := _read_chunk(response):
+                file.write(chunk)
+                here += len(chunk)
+                if here > (LARGEST_DOWNLOAD if total is None else total):
+                    file.truncate(start)
+                    raise AssetError(
+                        f"'{url}' sends more bytes than the {total or LARGEST_DOWNLOAD} expected."
+                    )
+                progress(here, total)
+    if total is not None and here < total:
+        raise ConnectionBroken(f"the server ended after {here} of {total} bytes")
+
+
+@contextmanager
+def _open_request(url: str, part: Path, patience: float) -> Iterator[Any]:
+    """Open a request for the bytes that `part` lacks; yields a 416 response too if it is whole."""
+    headers = {"User-Agent": "qdgrasp", "Accept-Encoding": "identity"}
+    if _size(part):
+        headers["Range"] = f"bytes={_size(part)}-"
+        if mark := _read_etag(part):
+            headers["If-Range"] = mark
+    request = urllib.request.Request(url, headers=headers)  # noqa: S310  # `download` takes http and https
+    try:
+        with urllib.request.urlopen(request, timeout=patience) as response:  # noqa: S310  # as above
+            yield response
+    except urllib.error.HTTPError as error:
+        if error.code != http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+            raise
+        with error:
+            _check_whole(error, part)
+            yield error
+
+
+def _check_whole(error: urllib.error.HTTPError, part: Path) -> None:
+    """Check that a server without more bytes than `part` has the same file, else raise `Broken`."""
+    said = CONTENT_RANGE.fullmatch(error.headers.get("Content-Range", ""))
+    if said is None or int(said[2]) != _size(part):
+        _remove_part(part)
+        raise ConnectionBroken("the server has another file than before")
+
+
+def _extent(response: Any, here: int) -> tuple[int, int | None]:
+    """Return the byte at which a response begins, and the size of the whole file."""
+    said = CONTENT_RANGE.fullmatch(response.headers.get("Content-Range", ""))
+    if response.status == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+        return here, here
+    if response.status == http.HTTPStatus.PARTIAL_CONTENT:
+        if said is None or said[1] is None or int(said[1]) != here:
+            raise ConnectionBroken("the server sent another range than it was asked for")
+        return here, int(said[2])
+    length = response.headers.get("Content-Length", "")
+    return 0, int(length) if length.isdigit() else None
+
+
+def _read_chunk(response: Any) -> bytes:
+    try:
+        return bytes(response.read1(CHUNK))
+    except http.client.IncompleteRead as short:
+        return bytes(short.partial)
+
+
+def _is_transient(error: Exception) -> bool:
+    """Return whether another attempt may succeed."""
+    if isinstance(error, urllib.error.HTTPError):
+        return error.code >= http.HTTPStatus.INTERNAL_SERVER_ERROR
+    if isinstance(error, urllib.error.URLError):
+        return isinstance(error.reason, TimeoutError | ConnectionResetError)
+    return True
+
+
+def _given_up(url: str, part: Path, error: Exception) -> AssetError:
+    if isinstance(error, urllib.error.HTTPError):
+        return AssetError(f"'{url}' cannot be fetched: the server answers {error.code} {error.reason}.")
+    reason = error.reason if isinstance(error, urllib.error.URLError) else error
+    kept = f" {_size(part)} bytes are kept; the same command goes on from there." if _size(part) else ""
+    return AssetError(
+        f"'{url}' cannot be fetched: {reason or type(error).__name__}; is there a network, and a way to that "
+        f"address?{kept}"
+    )
+
+
+def _size(part: Path) -> int:
+    return part.stat().st_size if part.is_file() else 0
+
+
+def _etag_file(part: Path) -> Path:
+    """Return the path of the file with the ETag of the version that `part` is of."""
+    return part.with_name(part.name + ".etag")
+
+
+def _write_etag(part: Path, etag: str | None) -> None:
+    if etag and not etag.startswith("W/"):
+        _etag_file(part).write_text(etag, encoding="utf-8")
+    else:
+        _etag_file(part).unlink(missing_ok=True)
+
+
+def _read_etag(part: Path) -> str | None:
+    return _etag_file(part).read_text(encoding="utf-8") if _etag_file(part).is_file() else None
+
+
+def _remove_part(part: Path) -> None:
+    for file in (part, _etag_file(part)):
+        file.unlink(missing_ok=True)
+
+
+YCB_HOME = "https://ycb-benchmarks.s3.amazonaws.com"  # The public bucket of the YCB Object and Model Set
+YCB_TERMS = (
+    "The scans are of the YCB Object and Model Set (Calli, Singh, Walsman, Srinivasa, Abbeel and Dollar "
+    '2015), licence CC BY 4.0: whoever passes them on names "YCB Benchmarks - Object and Model Set".'
+)
+
+
+@dataclass(frozen=True)
+class FetchedScan:
+    """A scan that was fetched and accepted."""
+
+    name: str
+    mesh: Path
+    pin: ArchivePin
+    """Size and hashes of its archive."""
+    lock: Path | None
+    """User's lock file, if the hash was not known before and was written there."""
+
+    @property
+    def sentence(self) -> str:
+        """Description of the result for a person."""
+        if self.lock is None:
+            return f"{self.name}: fetched; its archive is the one that is known (sha256 {self.pin.sha256})."
+        return (
+            f"{self.name}: fetched; no hash of its archive was known, so it was accepted because the mesh "
+            f"measures what it must; sha256 {self.pin.sha256} is now in {self.lock}."
+        )
+
+
+def fetch_scan(name: str, home: str, progress: Progress, patience: float = SILENCE_LIMIT) -> FetchedScan:
+    """Fetch one scan into the data folder; it is checked first, and written whole.
+
+    Parameters
+    ----------
+    name
+        One of `SCAN_NAMES`.
+    home
+        The address that the paths of the archives are below.
+    progress
+        Is told how far the download is.
+    patience
+        How long the server may send nothing [s].
+
+    Raises
+    ------
+    UnknownName
+        There is no such scan.
+    WrongScan
+        It was fetched and is not what it must be.
+    AssetError
+        It cannot be fetched or written.
+    """
+    if name not in SCANS:
+        raise UnknownName("scan", name, SCANS, "Other objects are built in or mesh files of your own.")
+    scan = SCANS[name]
+    known = read_pin(scan.archive)
+    archive = data_folder() / "downloads" / Path(scan.archive).name
+    try:
+        download(f"{home.rstrip('/')}/{scan.archive}", archive, progress, patience)
+        try:
+            return _accept(name, scan, archive, known)
+        except AssetError as error:
+            raise WrongScan(name, error) from None
+        finally:
+            archive.unlink()
+    except OSError as error:
+        raise AssetError(
+            f"'{name}' cannot be kept in '{data_folder()}': {error.strerror or error}; name another folder "
+            "with QDGRASP_DATA."
+        ) from None
+
+
+def _accept(name: str, scan: Scan, archive: Path, known: ArchivePin) -> FetchedScan:
+    """Check hash and geometry, keep a new hash in the lock file, then put the mesh in place."""
+    found = ArchivePin(size=archive.stat().st_size, sha256=_sha256(archive))
+    _check_hash(known, found)
+    content = read_member(archive, scan.member)
+    found = ArchivePin(found.size, found.sha256, hashlib.sha256(content).hexdigest())
+    _check_hash(known, found)
+    _check_geometry(scan, content)
+    lock = write_pin(scan.archive, found) if known.sha256 is None else None
+    mesh = fetched_mesh(name)
+    mesh.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(
+        mesh.with_name("ATTRIBUTION.txt"), f"{scan.archive}: {scan.member}\n{YCB_TERMS}\n".encode()
+    )
+    write_atomically(mesh, content)
+    return FetchedScan(name, mesh, found, lock)
+
+
+def _check_hash(known: ArchivePin, found: ArchivePin) -> None:
+    if differs := known.difference(found):
+        raise AssetError(
+            f"it is not the archive that is known: {differs}; fetch it again, and if the set itself has "
+            f"changed, remove its table from {users_lock()}."
+        )
+
+
+def _check_geometry(scan: Scan, content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / Path(scan.member).name
+        file.write_bytes(content)
+        mesh = correct_mesh(read_mesh(file), scan)
+    if wrong := scan_differences(mesh, scan) or surface_faults(mesh):
+        raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

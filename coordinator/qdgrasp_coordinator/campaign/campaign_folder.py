@@ -1,0 +1,282 @@
+"""The folder of a campaign: begun, or gone on with, and a queue of its unfinished runs.
+
+The end of a run that has begun may be put off, not taken back below what is recorded. What a finished run
+has found is cached beside its journal (`found.json`), so that a large campaign need not read it again.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from qdgrasp_assets.scene import Bundle, Scene
+from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
+from qdgrasp_coordinator.campaign.summary import run_summary
+from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows, run_totals
+from qdgrasp_coordinator.scheduler import run_plan
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
+from qdgrasp_coordinator.search.registry import check_spec
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, OutFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, ImpossibleValue, InputError, RunFailed
+from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, run_spec, to_values
+from qdgrasp_protocol.text import counted
+
+
+def extend_run(folder: RunFolder, **goals: int) -> None:
+    """Give a run a new budget, or other goals: any of the keys `spec.GOALS`.
+
+    Raises
+    ------
+    ImpossibleValue
+        A value is not allowed, or the journal goes on behind it.
+    """
+    spec = run_spec(to_values(folder.spec) | goals, "resume")
+    count_within_budget(folder, spec, "--evaluations")
+    folder.rewrite_spec(spec)
+
+
+def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluations") -> RunCounter:
+    """Return the tally of a run's journal, which must begin a journal of `spec`.
+
+    Raises
+    ------
+    ImpossibleValue
+        It does not.
+    """
+    check_spec(spec)
+    with folder.journal() as journal:
+        found = count_rows(spec, journal.blocks())
+    found.check_budget(spec, where)
+    return found
+
+
+TOTALS_FILE = "found.json"
+
+
+class CachedTotals(Struct, frozen=True):
+    """Totals of a finished run, with the mark of what they depend on."""
+
+    mark: str
+    totals: RunTotals
+
+
+def read_cached_totals(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
+    """Return the stored totals of a run that was finished under `spec`; None: not known."""
+    file = folder.path / TOTALS_FILE
+    if not file.is_file():
+        return None
+    with suppress(FolderError, msgspec.MsgspecError):
+        known = msgspec.json.decode(atomic_files.read(file), type=CachedTotals)
+        if known.mark == _journal_mark(folder, spec):
+            return known.totals
+    return None
+
+
+def write_cached_totals(folder: RunFolder, spec: RunSpec, found: RunTotals) -> None:
+    """Store the totals of a finished run; a disk that cannot take them is no error."""
+    with suppress(FolderError):
+        atomic_files.replace(
+            folder.path / TOTALS_FILE, msgspec.json.encode(CachedTotals(_journal_mark(folder, spec), found))
+        )
+
+
+def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
+    """Return the mark of all that the totals depend on: rows, goals, version, names of counts."""
+    with folder.journal() as journal:
+        ends = [str(getattr(spec, key)) for key in STOP_KEYS]
+        return " ".join([journal.mark, *ends, version("qdgrasp"), *TOTAL_NAMES])
+
+
+SCENE_KEYS = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
+"""The keys of a spec that its scene depends on."""
+
+
+class CampaignRunQueue:
+    """The programme of a campaign: its unfinished runs, each made when its turn comes.
+
+    Parameters
+    ----------
+    folder
+        The campaign's; None: nothing is known of what was recorded, and no folders are made.
+    runs
+        The specs by name.
+
+    Raises
+    ------
+    FolderError, EndsTooSoon
+        A run's folder holds another run, or more evaluations than its budget.
+    """
+
+    def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
+        self._folder = folder
+        self._runs = runs
+        budgets = {name: spec.evaluations for name, spec in runs.items()}
+        self.extent = JobExtent.of(budgets).with_done(dict(self._done()))
+        self._left = deque(self.extent.budgets)
+        self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
+
+    def next(self) -> RunPlan | None:
+        """The next unfinished run, with a folder of its own.
+
+        Raises
+        ------
+        RunFailed
+            Its scene cannot be built, or its folder not be written.
+        DiskFull
+            There is no room for its folder; it stays the next.
+        """
+        if not self._left:
+            return None
+        name = self._left.popleft()
+        try:
+            return self._make(name, self._runs[name])
+        except DiskFull:
+            self.put_back(name)
+            raise
+        except InputError as error:
+            raise RunFailed(name, str(error)) from None
+
+    def put_back(self, run: str) -> None:
+        """Have a run made again, before any other."""
+        self._left.appendleft(run)
+
+    def _done(self) -> Iterator[tuple[str, RunTotals]]:
+        """The runs that are finished, with what they found."""
+        for name, spec in self._runs.items():
+            found = finished_totals(self._folder.run_path(name), spec) if self._folder else None
+            if found is not None:
+                yield name, found
+
+    def _make(self, name: str, spec: RunSpec) -> RunPlan:
+        path = self._folder.run_path(name) if self._folder else None
+        if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
+            folder = RunFolder(path)
+            return run_plan.plan_run(spec, folder.scene(), folder.bundle(), name)
+        scene, bundle = self._built(spec)
+        if self._folder is not None and path is not None and not RunFolder.is_run(path):
+            RunFolder.add(self._folder, name, spec, bundle)
+        return run_plan.plan_run(spec, scene, bundle, name)
+
+    def _built(self, spec: RunSpec) -> tuple[Scene, Bundle]:
+        """The scene of a spec; neighbours in the order often share theirs."""
+        if self._scene is None or not _share_scene(self._scene[0], spec):
+            self._scene = spec, run_plan.make_bundle(spec)
+        return self._scene[1]
+
+
+def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
+    """Return the totals of the run that `spec` asks for, where its folder holds all of it.
+
+    None: it is not finished, or its journal cannot be read; why not is told when the recorder opens it.
+
+    Raises
+    ------
+    FolderError, EndsTooSoon
+        It holds a run of another spec, more evaluations than the budget, or successes alone of fewer.
+    """
+    if not RunFolder.is_run(path):
+        return None
+    folder = RunFolder.open(path)
+    differ = differences(folder.spec, spec)
+    if differ:
+        raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
+    try:
+        with folder.journal() as journal:
+            is_reduced = bool(journal.sources)
+        if not is_reduced:
+            return read_cached_totals(folder, spec) or _count_finished(folder, spec)
+    except FolderError:
+        return None
+    if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
+        raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
+    return run_totals(run_summary(folder))
+
+
+def _count_finished(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
+    """Count the rows of a run and store their totals; None while it is not finished."""
+    try:
+        found = count_within_budget(folder, spec)
+    except ImpossibleValue as reason:
+        raise EndsTooSoon(folder.path, reason) from None
+    if not found.finished:
+        return None
+    write_cached_totals(folder, spec, run_totals(found))
+    return run_totals(found)
+
+
+def _share_scene(one: RunSpec, other: RunSpec) -> bool:
+    return all(getattr(one, key) == getattr(other, key) for key in SCENE_KEYS)
+
+
+def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:
+    """Begin the campaign that is asked for at `path`, or check that it can go on there.
+
+    Parameters
+    ----------
+    job
+        The job's name for a new folder; None: the folder's name, reduced to the allowed characters.
+
+    Returns
+    -------
+    extent
+        How much there is to do, and what of it is done.
+
+    Raises
+    ------
+    FolderError, EndsTooSoon
+        The folder holds a single run, another job, other files, runs that are not asked for any more, or one
+        that is asked for with another spec or with less than it has; or it is in use. It is left as it was.
+    """
+    if not JobFolder.is_job(path):
+        OutFolder(path).check()
+        RunFolder.check_outside(path)
+        files = JobRecord.begun(path, job).file | {CAMPAIGN: asked.toml.encode()}
+        atomic_files.create_folder(path, files, folders=[LOGS, RUNS])
+        return CampaignRunQueue(None, asked.runs).extent
+    folder = open_campaign(path)
+    if job not in (None, folder.name):
+        raise FolderError(f"{path} is of job '{folder.name}', not '{job}'; leave --job out.")
+    folder.check_not_in_use()
+    _check_kept(folder, asked)
+    extent = CampaignRunQueue(folder, asked.runs).extent
+    _write_campaign(folder, asked)
+    return extent
+
+
+def open_campaign(path: Path) -> JobFolder:
+    """The folder of a campaign that was begun.
+
+    Raises
+    ------
+    FolderError
+        There is none at `path`.
+    """
+    folder = JobFolder.open(path)
+    if not folder.is_campaign:
+        raise FolderError(f"{path} holds a single run, no campaign; name the folder of a campaign.")
+    return folder
+
+
+def _check_kept(folder: JobFolder, asked: Campaign) -> None:
+    """Check that every run that the folder's campaign has is asked for."""
+    lost = [name for name in read_campaign(folder.path / CAMPAIGN).runs if name not in asked.runs]
+    if lost:
+        lacking = counted(len(lost), "run that is", "runs that are")
+        raise FolderError(
+            f"{folder.path} is of a campaign with {lacking} not asked for any more, such as "
+            f"'{lost[0]}'; leave them in the file, or name another folder with --out. "
+            f"`qdgrasp campaign {folder.path}` goes on with the campaign as it was."
+        )
+
+
+def _write_campaign(folder: JobFolder, asked: Campaign) -> None:
+    file = folder.path / CAMPAIGN
+    if file.read_bytes() != asked.toml.encode():
+        atomic_files.replace(file, asked.toml.encode())

@@ -1,0 +1,165 @@
+"""Exports the selected grasps of a run: the table of formats, and `qdgrasp export`."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
+from qdgrasp_coordinator.export import acronym, graspgen, isaac, moveit, tabular
+from qdgrasp_coordinator.export.frames import frame_of
+from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps
+from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.text import counted
+
+WriteGrasps = Callable[[Path, Grasps, GraspMetadata], None]
+ALL_FAILURES = -1  # So many failures as there are
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """One line of the table."""
+
+    name: str
+    write: WriteGrasps
+    """Writes a new file or folder."""
+    suffix: str
+    """What files of it are called by others; empty: it is a folder."""
+    negatives: int | None = 0
+    """Failures that are written unless it is said how many; None: the format has no place for them."""
+
+    def output(self, path: Path, *, force: bool = False) -> WholeOutput:
+        """The file or folder at a path; by force one that is there is replaced, if it is of the format."""
+        if self.suffix:
+            return OutFile(path, force=force)
+        return OutFolder(path, force=force, is_kind=graspgen.is_ours)
+
+
+FORMATS = {
+    each.name: each
+    for each in (
+        ExportFormat("isaac", isaac.write, ".yaml", negatives=None),
+        ExportFormat("acronym", acronym.write, ".h5"),
+        ExportFormat("graspgen", graspgen.write, "", negatives=ALL_FAILURES),
+        ExportFormat("parquet", tabular.write_parquet, ".parquet"),
+        ExportFormat("moveit", moveit.write, ".yaml", negatives=None),
+        ExportFormat("csv", tabular.write_csv, ".csv"),
+    )
+}
+
+
+def export_format(name: str) -> ExportFormat:
+    """The format of that name.
+
+    Raises
+    ------
+    UnknownName
+        There is none.
+    """
+    if name not in FORMATS:
+        raise UnknownName("format", name, FORMATS)
+    return FORMATS[name]
+
+
+def write_grasps(out: WholeOutput, form: ExportFormat, grasps: Grasps, about: GraspMetadata) -> None:
+    """Write grasps to a file or folder.
+
+    Raises
+    ------
+    DiskFull, OutputError
+        It cannot be written.
+    """
+    with out.writing() as made:
+        form.write(made, grasps, about)
+
+
+def export_run(
+    folder: RunFolder,
+    out: Path,
+    name: str,
+    *,
+    min_fitness: int = 1,
+    top: int | None = None,
+    diverse: int | None = None,
+    frame: str = "mesh",
+    negatives: int | None = None,
+    force: bool = False,
+    tell: Tell = ignore_progress,
+) -> str:
+    """Write the chosen grasps of a run in the format of that name.
+
+    Parameters
+    ----------
+    out
+        The file, or folder, that is written; it appears whole or not at all.
+    min_fitness, top, diverse
+        As in `choose`.
+    frame
+        "mesh" or "com": where the poses are told.
+    negatives
+        How many failures are written behind the grasps, at most; None: as many as is usual in the format.
+    force
+        Whether `out` may be replaced.
+    tell
+        Hears what is begun with.
+
+    Returns
+    -------
+    words
+        What was written, for a person.
+
+    Raises
+    ------
+    InputError
+        There is no such format or frame, there is nothing to write, or it cannot be read or written.
+    """
+    form, told_in = export_format(name), frame_of(frame)
+    wanted = _negatives(form, negatives)
+    output = form.output(out, force=force)
+    output.check()
+    tell(f"reading {folder.path}")
+    every = read_run(folder, Outcome.MISSED if wanted else Outcome.DROPPED)
+    tell(f"choosing from {counted(len(every), 'evaluation')}")
+    chosen = select_grasps(every, min_fitness, top, diverse)
+    if not len(chosen):
+        raise InputError(_no_grasps(folder, every, min_fitness))
+    failures = _failures(every, chosen, wanted)
+    written = join_grasps([chosen, failures])
+    tell(f"writing {counted(len(written), 'evaluation')} to {out}")
+    write_grasps(output, form, written, grasp_metadata(folder, written, told_in))
+    beside = f" and {counted(len(failures), 'failure')}" if wanted else ""
+    return f"{counted(len(chosen), 'grasp')}{beside} written to {out}, poses in the object's {told_in} frame."
+
+
+def _negatives(form: ExportFormat, asked: int | None) -> int:
+    """How many failures are to be written, or `ALL`."""
+    if asked and form.negatives is None:
+        raise InputError(f"{form.name} has no place for failures; leave --negatives out.")
+    return asked if asked is not None else form.negatives or 0
+
+
+def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
+    """The evaluations that were no grasps; of more than `most` some that are spread over the journal."""
+    places = np.flatnonzero(~every.is_grasp & ~np.isin(every.numbers, chosen.numbers))
+    if most != ALL_FAILURES and most < len(places):
+        places = places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
+    return every[places if most else places[:0]]
+
+
+def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
+    """What is said where there is no grasp to write."""
+    successes = every[every.is_success]
+    if not len(successes):
+        with folder.journal() as journal:
+            rows = counted(journal.count, "row")
+            return f"{folder.path} has no grasp to write: there is no success among {rows}."
+    best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
+    return (
+        f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "
+        f"{many} has {best}, and --min-fitness {best} writes those."
+    )

@@ -1,0 +1,116 @@
+"""Frames in which grasps are told, and the object's mesh, mass and inertia in them."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
+from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_protocol.errors import UnknownName
+
+Frame = Literal["mesh", "com"]
+MESH: Frame = "mesh"
+COM: Frame = "com"
+FRAMES: tuple[Frame, ...] = get_args(Frame)
+
+
+def frame_of(name: str) -> Frame:
+    """The object's frame of that name.
+
+    Raises
+    ------
+    UnknownName
+        There is none.
+    """
+    for frame in FRAMES:
+        if frame == name:
+            return frame
+    raise UnknownName("frame", name, FRAMES)
+
+
+def change_frame(poses: Floats, com_in_mesh: ArrayLike, source: Frame, target: Frame) -> Floats:
+    """Poses (n, 7), xyz [m] and xyzw, told in one frame of the object, as another frame tells them."""
+    found = poses.copy()
+    found[:, :3] += (FRAMES.index(source) - FRAMES.index(target)) * np.asarray(com_in_mesh)
+    return found
+
+
+def turn_hand_axes(poses: Floats, turn: Floats) -> Floats:
+    """Poses (n, 7) of hands whose own axes are turned by a quaternion (4,), xyzw, first."""
+    turns = np.broadcast_to(turn, (len(poses), 4))
+    return np.hstack([poses[:, :3], multiply(poses[:, 3:], turns)])
+
+
+def to_matrices(poses: Floats) -> Floats:
+    """Poses (n, 7) as homogeneous matrices (n, 4, 4)."""
+    quaternions = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    matrices = np.zeros((len(poses), 4, 4))
+    for column, axis in enumerate(np.eye(3)):
+        matrices[:, :3, column] = rotate(quaternions, np.broadcast_to(axis, (len(poses), 3)))
+    matrices[:, :3, 3], matrices[:, 3, 3] = poses[:, :3], 1.0
+    return matrices
+
+
+def from_matrices(matrices: Floats) -> Floats:
+    """The inverse of `to_matrices`, with w >= 0."""
+    x, y, z = np.moveaxis(matrices[:, :3, :3], 2, 0)
+    return np.hstack([matrices[:, :3, 3], from_frame(x, y, z)])
+
+
+def jaw_turn(gripper: SceneGripper) -> Floats:
+    """The rotation (4,), xyzw, from a hand's root link to axes with +z towards the object and x across.
+
+    x is the axis along which the two fingers of a jaw open; of a hand without a jaw it is the first of two
+    tangents to its approach axis (`rotation.tangents`), which is its own x where it looks along +z.
+    """
+    z = np.array([gripper.approach_axis])
+    x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
+    turn: Floats = from_frame(x, np.cross(z, x), z)[0]
+    return turn
+
+
+@dataclass(frozen=True)
+class UniformSolid:
+    """A solid of uniform density."""
+
+    mesh: Mesh
+    """[m], in the frame that poses are told in."""
+    mass: float
+    """[kg]."""
+    com: Floats
+    """(3,) [m]: the centre of mass."""
+
+    @property
+    def volume(self) -> float:
+        """Of what the mesh encloses [m3]."""
+        return self.mesh.volume
+
+    @property
+    def density(self) -> float:
+        """[kg/m3]."""
+        return self.mass / self.volume
+
+    @property
+    def inertia(self) -> Floats:
+        """(3, 3) [kg m2]: about the centre of mass, along the axes of the mesh.
+
+        Integrals over the tetrahedra between triangles and centre (Tonon 2004, "Explicit exact formulas for
+        the 3-D tetrahedron inertia tensor in terms of its vertex coordinates").
+        """
+        a, b, c = np.moveaxis(self.mesh.corners - self.com, 1, 0)
+        volumes = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
+        total = a + b + c
+        seconds = np.einsum("n,nki,nkj->ij", volumes, (s := np.stack([a, b, c, total], axis=1)), s) / 20
+        inertia: Floats = self.density * (np.trace(seconds) * np.eye(3) - seconds)
+        return inertia
+
+
+def object_solid(thing: SceneObject, frame: Frame) -> UniformSolid:
+    """The object of a scene, told in one of its frames."""
+    com = np.zeros(3) if frame == COM else np.array(thing.com_in_mesh)
+    vertices = np.frombuffer(thing.mesh_vertices, dtype="<f4").reshape(-1, 3).astype(np.float64)
+    faces = np.frombuffer(thing.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
+    return UniformSolid(Mesh(vertices + com, faces), thing.mass, com)

@@ -1,0 +1,194 @@
+"""Isaac Grasp YAML, format version 1.0: one file for one hand and one object, joints by name.
+
+Public descriptions: Isaac Sim, "Grasp Editor" (keys `object_frame_link`, `gripper_frame_link`), and Isaac
+ROS, "Isaac Grasp File" (`object_frame`, `gripper_frame`); files here have both. Readers of either take the
+poses from `grasps` and pass over what they do not know, such as the block `qdgrasp`.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.export.imported_grasps import ImportedGrasps, UnreadableGrasps, to_words
+from qdgrasp_coordinator.export.metadata import GraspMetadata
+from qdgrasp_coordinator.export.text_format import Tree, read_yaml, table_decimals, yaml_block, yaml_word
+from qdgrasp_protocol.rows import NO_SYNERGY
+
+FORMAT, VERSION = "isaac_grasp", 1.0
+EXTRA_KEY = "grasps"  # The lists in the block `qdgrasp` that have an item for each grasp
+MOST_JOINTS = 1000  # Of a hand, at most
+WXYZ = "w, then xyz = [x, y, z]"
+
+
+def write(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
+    """Write grasps as Isaac Grasp YAML."""
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f"format: {FORMAT}\nformat_version: {VERSION}\n")
+        file.write(yaml_block(_frame_keys(about) | {"qdgrasp": about.told(quaternions=WXYZ).values}))
+        file.writelines(_extra_lines(grasps))
+        file.write("grasps:\n")
+        file.writelines(_lines(grasps, about))
+
+
+def _frame_keys(about: GraspMetadata) -> dict[str, str]:
+    """The frames by both spellings of their keys."""
+    names = {"object_frame": about.object, "gripper_frame": about.gripper_frame}
+    return {f"{key}_link": name for key, name in names.items()} | names
+
+
+def _extra_lines(grasps: Grasps) -> Iterator[str]:
+    """What the format has no place for, in the order of the grasps, as the end of the block `qdgrasp`.
+
+    Lists of nothing are left out.
+    """
+    yield f"  {EXTRA_KEY}:\n"
+    names = [yaml_word(name) for name in grasps.synergy_names] + ["''"]
+    known = ~np.isnan(grasps.eta)
+    etas = np.where(known, np.array(table_decimals(grasps.eta[:, None])).reshape(-1), "null")
+    closing = [names[label] for label in grasps.synergies.tolist()]
+    for key, words, is_told in (
+        ("fitness", map(str, grasps.fitness.tolist()), True),
+        ("eta", etas.tolist(), known.any()),
+        ("synergy", closing, (grasps.synergies != NO_SYNERGY).any()),
+    ):
+        if is_told:
+            yield f"    {key}: [{', '.join(words)}]\n"
+
+
+def _lines(grasps: Grasps, about: GraspMetadata) -> Iterator[str]:
+    """The lines of each grasp."""
+    joints = [yaml_word(name) for name in grasps.joint_names]
+    numbers = grasps.numbers.tolist()
+    confidences = table_decimals(grasps.confidence[:, None])
+    tables = (
+        confidences,
+        table_decimals(grasps.poses(about.frame)),
+        table_decimals(grasps.joints),
+        table_decimals(grasps.pregrasp),
+    )
+    for number, (confidence,), (x, y, z, qx, qy, qz, qw), closed, start in zip(numbers, *tables, strict=True):
+        yield (
+            f"  grasp_{number}:\n"
+            f"    confidence: {confidence}\n"
+            f"    position: [{x}, {y}, {z}]\n"
+            f"    orientation: {{w: {qw}, xyz: [{qx}, {qy}, {qz}]}}\n"
+            f"    cspace_position:{_mapping(joints, closed)}"
+            f"    pregrasp_cspace_position:{_mapping(joints, start)}"
+        )
+
+
+def _mapping(names: list[str], values: list[str]) -> str:
+    if not names:
+        return " {}\n"
+    return "\n" + "".join(f"      {name}: {value}\n" for name, value in zip(names, values, strict=True))
+
+
+def read(path: Path) -> ImportedGrasps:
+    """The grasps in an Isaac Grasp YAML file, of ours or of others.
+
+    Raises
+    ------
+    Unusable
+        It is damaged, or is another YAML file.
+    """
+    tree = read_yaml(path)
+    if isinstance(tree, dict) and "qdgrasp" in tree and isinstance(tree.get("grasps"), list):
+        raise UnreadableGrasps(
+            path, "it is MoveIt of `qdgrasp export`, which is not read back; export parquet instead"
+        )
+    if not isinstance(tree, dict) or tree.get("format") != FORMAT:
+        raise UnreadableGrasps(path, f"it is YAML, but not an Isaac grasp file: it has no 'format: {FORMAT}'")
+    if _numbers(path, ("format_version",), [tree.get("format_version", "")], 1) != [VERSION]:
+        raise UnreadableGrasps(path, f"it is of format version {tree['format_version']}; {VERSION} is read")
+    grasps = tree.get("grasps")
+    if not isinstance(grasps, dict):
+        raise UnreadableGrasps(path, "its key 'grasps' must hold grasps by name")
+    about = _metadata(path, tree)
+    return ImportedGrasps(
+        names=to_words(path, "names", grasps),
+        poses=np.array([_pose(path, name, grasp) for name, grasp in grasps.items()]).reshape(-1, 7),
+        frame=about.frame if about else None,
+        gripper=about.gripper if about else None,
+        link=about.gripper_frame if about else _gripper_link(tree),
+        starts=_joints(path, grasps, "pregrasp_cspace_position"),
+        joints=tuple(_joints(path, grasps, "cspace_position")),
+        synergies=_synergies(path, tree, len(grasps)),
+        confidence=np.array([_confidence(path, name, grasp) for name, grasp in grasps.items()]),
+        scale=about.object_scale if about else None,
+        about=about,
+    )
+
+
+def _metadata(path: Path, tree: dict[str, Tree]) -> GraspMetadata | None:
+    if "qdgrasp" not in tree:
+        return None
+    try:
+        return msgspec.convert(tree["qdgrasp"], GraspMetadata, strict=False)  # every number is a word yet
+    except msgspec.ValidationError as error:
+        raise UnreadableGrasps(path, f"its block 'qdgrasp' cannot be read ({error})") from None
+
+
+def _synergies(path: Path, tree: dict[str, Tree], count: int) -> NDArray[np.str_] | None:
+    ours = tree.get("qdgrasp")
+    beside = ours.get(EXTRA_KEY) if isinstance(ours, dict) else None
+    if not isinstance(beside, dict) or "synergy" not in beside:
+        return None
+    names = beside["synergy"]
+    if not isinstance(names, list) or len(names) != count or not all(isinstance(name, str) for name in names):
+        raise UnreadableGrasps(path, f"the list 'synergy' of its block 'qdgrasp' must have {count} names")
+    return to_words(path, "synergies", names)  # type: ignore[arg-type]  # each is a word
+
+
+def _gripper_link(tree: dict[str, Tree]) -> str | None:
+    """The link whose poses are told, by either spelling; of a path in a stage the last part."""
+    name = tree.get("gripper_frame_link", tree.get("gripper_frame"))
+    return name.rsplit("/", 1)[-1] if isinstance(name, str) else None
+
+
+def _pose(path: Path, name: str, grasp: Tree) -> list[float]:
+    """Position [m] and quaternion xyzw."""
+    told = grasp if isinstance(grasp, dict) else {}
+    orientation = told.get("orientation")
+    turn = orientation if isinstance(orientation, dict) else {}
+    return [
+        *_numbers(path, (name, "position"), told.get("position"), 3),
+        *_numbers(path, (name, "orientation", "xyz"), turn.get("xyz"), 3),
+        *_numbers(path, (name, "orientation", "w"), [turn.get("w", "")], 1),
+    ]
+
+
+def _confidence(path: Path, name: str, grasp: Tree) -> float:
+    told = grasp.get("confidence") if isinstance(grasp, dict) else None
+    return np.nan if told is None else _numbers(path, (name, "confidence"), [told], 1)[0]
+
+
+def _joints(path: Path, grasps: dict[str, Tree], key: str) -> dict[str, Floats]:
+    """Joints by name (n,), NaN where a grasp does not tell of one."""
+    found: dict[str, Floats] = {}
+    for place, (name, grasp) in enumerate(grasps.items()):
+        told = grasp.get(key, {}) if isinstance(grasp, dict) else {}
+        if not isinstance(told, dict):
+            raise UnreadableGrasps(path, f"{name}: {key} must hold joints by name")
+        for joint, value in told.items():
+            if joint not in found:
+                if len(found) == MOST_JOINTS:
+                    raise UnreadableGrasps(path, f"{name}: {key}: there are more than {MOST_JOINTS} joints")
+                found[joint] = np.full(len(grasps), np.nan)
+            (found[joint][place],) = _numbers(path, (name, key, joint), [value], 1)
+    return found
+
+
+def _numbers(path: Path, what: tuple[str, ...], values: Tree | None, count: int) -> list[float]:
+    """So many numbers, which are words yet; `what` they are is told by keys."""
+    if isinstance(values, list) and len(values) == count:
+        try:
+            return [float(value) for value in values]  # type: ignore[arg-type]  # what is no word is no number
+        except (ValueError, TypeError):
+            pass
+    wanted = "a number" if count == 1 else f"{count} numbers"
+    raise UnreadableGrasps(path, f"{': '.join(what)} must be {wanted}")

@@ -1,0 +1,232 @@
+"""CSV and Parquet: one table with a line for each grasp.
+
+Lines of CSV that begin with # are metadata.
+
+Parquet keeps every bit, and is read again.
+"""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.export.frames import COM, Frame
+from qdgrasp_coordinator.export.grasp_set import Grasps
+from qdgrasp_coordinator.export.imported_grasps import (
+    MOST_GRASPS,
+    ImportedGrasps,
+    UnreadableGrasps,
+    decode_metadata,
+    to_words,
+)
+from qdgrasp_coordinator.export.metadata import GraspMetadata
+from qdgrasp_coordinator.export.text_format import shortest_decimals
+from qdgrasp_protocol.rows import Outcome
+
+JOINT, PREGRASP = "joint.", "pregrasp."
+"""What the columns of joints begin with; the joint's name follows."""
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
+
+
+class GraspColumn(NamedTuple):
+    """One column of the table."""
+
+    name: str
+    values: NDArray[np.generic]
+    """(n,): numbers, NaN where there is none, or words, empty where there is none."""
+    meaning: str
+
+
+def grasp_columns(grasps: Grasps, frame: Frame) -> Iterator[GraspColumn]:
+    """The columns of a table of grasps whose poses are told in a frame of the object."""
+    rows, poses = grasps.rows, grasps.poses(frame)
+    yield GraspColumn("number", grasps.numbers, "the row's number in the journal, from 0")
+    yield GraspColumn(
+        "run", _label_words([source.run for source in grasps.sources], grasps.origins), "what found it"
+    )
+    yield GraspColumn("generation", rows["generation"], "of the search")
+    yield GraspColumn("index", rows["index"], "in the generation")
+    yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
+    yield GraspColumn("fitness", grasps.fitness, "shakes survived: 0, 1 or 2")
+    yield GraspColumn("eta", grasps.eta, "estimated probability of transfer; none where it is not known")
+    yield GraspColumn("confidence", grasps.confidence, "0 to 1, higher is better")
+    for name, values in zip(POSE, poses.T, strict=True):
+        meaning = "hand's root link in the object's frame [m]" if len(name) == 1 else "its quaternion"
+        yield GraspColumn(name, values, meaning)
+    for name, joint, start in zip(grasps.joint_names, grasps.joints.T, grasps.pregrasp.T, strict=True):
+        yield GraspColumn(JOINT + name, joint, "joint at the grasp [rad or m]")
+        yield GraspColumn(PREGRASP + name, start, "joint that the hand starts from [rad or m]")
+    yield GraspColumn(
+        "synergy", _label_words(grasps.synergy_names, grasps.synergies), "what closes; none: all that can"
+    )
+    aims = rows["surface_point"].astype(np.float64)
+    aims = np.where(aims.any(axis=1, keepdims=True), aims + _frame_offset(grasps, frame), np.nan)
+    for name, values in zip("xyz", aims.T, strict=True):
+        yield GraspColumn(f"aim_{name}", values, "surface point that was aimed at, object's frame [m]")
+    yield GraspColumn("nu", rows["nu"], "angle of its normal to the direction to the hand [rad]")
+    yield GraspColumn("contacts", rows["contacts"], "finger links that touch after closing")
+    yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
+
+
+def _label_words(words: list[str] | tuple[str, ...], labels: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Words by their labels; -1 stands for none."""
+    return np.array([*words, ""])[labels]
+
+
+def _frame_offset(grasps: Grasps, frame: Frame) -> NDArray[np.float64]:
+    return np.zeros(3) if frame == COM else np.array(grasps.scene.object.com_in_mesh)
+
+
+QUOTED_LETTERS = frozenset('",#\r\n')
+"""A word with one of these stands in quotes: a reader would take what is behind a bare # for a remark."""
+
+
+def write_csv(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
+    """Write grasps as CSV in UTF-8, lines ended by a newline."""
+    table = list(grasp_columns(grasps, about.frame))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.writelines(f"# {line}\n" for said in _comment_lines(about) for line in said.splitlines())
+        file.write(_csv_line(_csv_field(column.name) for column in table))
+        file.writelines(map(_csv_line, zip(*(_csv_fields(column.values) for column in table), strict=True)))
+
+
+def _comment_lines(about: GraspMetadata) -> Iterator[str]:
+    """What the file says of itself: texts, the lines of each spec on lines of their own."""
+    for name, value in about.values.items():
+        if name != "runs":
+            words = " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+            yield f"{name}: {words}"
+    for run in about.runs:
+        yield f"run: {run.run}"
+        yield f"  digest: {run.digest}"
+        yield from (f"  {line}" for line in run.spec.splitlines())
+
+
+def _csv_line(fields: Iterable[str]) -> str:
+    return ",".join(fields) + "\n"
+
+
+def _csv_fields(values: NDArray[np.generic]) -> list[str]:
+    """Values (n,) as they stand between commas; NaN is empty."""
+    if values.dtype.kind == "f":
+        numbers = shortest_decimals(values)  # type: ignore[arg-type]  # the kind says that they are floats
+        return [word if word != "nan" else "" for word in numbers]
+    return [_csv_field(str(value)) for value in values.tolist()]
+
+
+def _csv_field(word: str) -> str:
+    if QUOTED_LETTERS.isdisjoint(word):
+        return word
+    return '"' + word.replace('"', '""') + '"'
+
+
+METADATA_KEY = "qdgrasp"
+POSE_COLUMN = "base_to_object"
+MAGIC = b"PAR1"
+COLUMNS_READ = ("number", "synergy", "confidence", POSE_COLUMN)
+"""The columns that are read, beside those of joints."""
+MOST_NUMBERS = 100_000_000
+"""In all columns that are read, at most: few bytes can stand for very many equal ones."""
+
+
+def write_parquet(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
+    """Write grasps as a Parquet file, compressed with zstd."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    poses = pa.FixedSizeListArray.from_arrays(pa.array(grasps.rows[POSE_COLUMN].ravel()), 7)
+    arrays = {POSE_COLUMN: poses}
+    meanings = {POSE_COLUMN: "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"}
+    for column in grasp_columns(grasps, about.frame):
+        arrays[column.name] = _arrow_array(column.values)
+        meanings[column.name] = column.meaning
+    fields = [
+        pa.field(name, array.type, metadata={"meaning": meanings[name]}) for name, array in arrays.items()
+    ]
+    schema = pa.schema(fields, metadata={METADATA_KEY: about.json})
+    pq.write_table(pa.table(list(arrays.values()), schema=schema), path, compression="zstd")
+
+
+def _arrow_array(values: NDArray[np.generic]) -> Any:
+    """Values (n,) of a column as Arrow has them; NaN and empty words are null."""
+    import pyarrow as pa
+
+    if values.dtype.kind == "U":
+        return pa.array(values.tolist(), pa.string(), mask=values == "").dictionary_encode()
+    return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
+
+
+def read_parquet(path: Path) -> ImportedGrasps:
+    """The grasps in a Parquet file that `write` wrote.
+
+    Raises
+    ------
+    Unusable
+        It is damaged, or is another Parquet file.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+        if METADATA_KEY.encode() not in metadata:
+            raise UnreadableGrasps(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
+        with pq.ParquetFile(path, read_dictionary=["synergy"]) as file:
+            if file.metadata.num_rows > MOST_GRASPS:
+                raise UnreadableGrasps(
+                    path, f"it has {file.metadata.num_rows} rows; at most {MOST_GRASPS} are read"
+                )
+            names = _columns_to_read(file.schema_arrow)
+            if file.metadata.num_rows * len(names) > MOST_NUMBERS:
+                raise UnreadableGrasps(path, f"it has more than {MOST_NUMBERS} numbers")
+            table = file.read(columns=names)
+        about = decode_metadata(path, metadata[METADATA_KEY.encode()])
+        return _imported_grasps(path, table, about)
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        raise UnreadableGrasps(path, f"it is a damaged Parquet file ({error})") from None
+
+
+def _columns_to_read(schema: Any) -> list[str]:
+    """The names of the columns that are read, each of which is of numbers but for the synergies."""
+    import pyarrow.types as kinds
+
+    fields = [field for field in schema if field.name in COLUMNS_READ or field.name.startswith(PREGRASP)]
+    for field in fields:
+        kind = field.type.value_type if field.name in (POSE_COLUMN, "synergy") else field.type
+        if not (kinds.is_string if field.name == "synergy" else _is_number)(kind):
+            raise TypeError(f"its column '{field.name}' is of type {field.type}")
+    return [field.name for field in fields]
+
+
+def _is_number(kind: Any) -> bool:
+    import pyarrow.types as kinds
+
+    return bool(kinds.is_integer(kind) or kinds.is_floating(kind))
+
+
+def _imported_grasps(path: Path, table: Any, about: GraspMetadata) -> ImportedGrasps:
+    """What a table says; the poses are those in `base_to_object`, always at the centre of mass."""
+    simulated = table[POSE_COLUMN].combine_chunks()
+    poses = np.asarray(simulated.flatten(), dtype=np.float64).reshape(len(table), 7)
+    joints = [name for name in table.column_names if name.startswith(PREGRASP)]
+    return ImportedGrasps(
+        names=np.asarray(table["number"]).astype(str),
+        poses=poses,
+        starts={name.removeprefix(PREGRASP): np.asarray(table[name], dtype=np.float64) for name in joints},
+        synergies=_synergies(path, table["synergy"].unify_dictionaries().combine_chunks()),
+        confidence=np.asarray(table["confidence"], dtype=np.float64),
+        scale=about.object_scale,
+        frame=COM,
+        gripper=about.gripper,
+        link=about.gripper_frame,
+        about=about,
+    )
+
+
+def _synergies(path: Path, column: Any) -> NDArray[np.str_]:
+    """The words (n,) of a column of words by their numbers; null is none."""
+    names = to_words(path, "synergies", [*(name or "" for name in column.dictionary.to_pylist()), ""])
+    return names[np.asarray(column.indices.fill_null(len(names) - 1), dtype=np.int64)]

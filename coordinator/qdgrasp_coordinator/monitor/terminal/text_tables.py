@@ -1,0 +1,330 @@
+"""Tables on a terminal: jobs, the runs and workers of one, and its events.
+
+Columns without room are left out, the least important first, and no line is broken. Bars, rules and curves
+are drawn with blocks and braille, or with ASCII where there is nothing else.
+"""
+
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Generic, Literal, TypeVar
+
+from rich.cells import cell_len, set_cell_size
+from rich.console import Console
+from rich.text import Text
+
+from qdgrasp_coordinator.metrics.job_status import JobEvent, RunStatus, WorkerStatus
+from qdgrasp_coordinator.monitor.job_view import OVER, JobView, Series
+from qdgrasp_protocol.text import printable
+
+
+@dataclass(frozen=True)
+class Glyphs:
+    """Characters for bars, rules and curves."""
+
+    full: str
+    """Done."""
+    empty: str
+    """To be done."""
+    rule: str
+    between: str
+    """Between two things in a line."""
+    chosen: str
+    """Before what is chosen."""
+    more: str
+    """Where words are cut off."""
+    stages: str
+    """What the parts of a bar are filled with, one after the other."""
+    has_braille: bool
+
+    def text(self, words: str) -> str:
+        """What others wrote, as it may stand on the terminal."""
+        shown = printable(words)
+        return shown if self.has_braille else shown.encode("ascii", "backslashreplace").decode()
+
+
+UNICODE = Glyphs("█", "░", "─", " · ", "▸", "…", "·░▒▓▚█", has_braille=True)
+ASCII = Glyphs("#", ".", "-", " | ", ">", "~", ".:-=+#", has_braille=False)
+
+
+def glyphs_of(console: Console, *, ascii_only: bool = False) -> Glyphs:
+    """Those that a terminal can show; the font of Linux's own console has no braille."""
+    has_all = console.encoding.lower().startswith("utf") and os.environ.get("TERM") != "linux"
+    return UNICODE if has_all and not ascii_only else ASCII
+
+
+MAX_SECONDS = 99_999 * 86_400.0  # seconds; nobody waits for longer
+SIZES = ("", "k", "M", "G", "T")
+UNITS = ("B", "kB", "MB", "GB", "TB")
+
+
+def count_text(number: float) -> str:
+    """A count with its thousands apart: 41 200."""
+    return f"{round(number):,}".replace(",", " ")
+
+
+def short_count(number: float) -> str:
+    """A count in at most five characters: 0.8, 950, 41.2k, 1.2M."""
+    if number < 9_999.5:
+        return f"{number:.0f}" if number >= 10 or number == int(number) else f"{number:.1f}"
+    unit = 0
+    while number >= 999.5 and unit < len(SIZES) - 1:
+        number, unit = number / 1000, unit + 1
+    return f"{number:.1f}{SIZES[unit]}" if number < 99.95 else f"{number:.0f}{SIZES[unit]}"
+
+
+def percent_text(some: float, total: float) -> str:
+    """A share in per cent, in at most five characters: 0 %, <1 %, 62 %."""
+    share = 100 * some / total if total else 0.0
+    return "<1 %" if 0 < share <= 0.5 else f"{share:.0f} %"
+
+
+def span_text(seconds: float) -> str:
+    """A time in at most seven characters: 4 s, 12:05, 3:12 h, 2.5 d."""
+    whole = max(0, round(min(seconds, MAX_SECONDS)))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d}"
+    if whole < 86_400:
+        return f"{whole // 3600}:{whole // 60 % 60:02d} h"
+    days = whole / 86_400
+    return f"{days:.1f} d" if days < 99.95 else f"{days:.0f} d"
+
+
+def size_text(number: float) -> str:
+    """Bytes in at most six characters: 310 MB."""
+    unit = 0
+    while number >= 999.5 and unit < len(UNITS) - 1:
+        number, unit = number / 1000, unit + 1
+    return f"{number:.1f} {UNITS[unit]}" if unit and number < 9.95 else f"{number:.0f} {UNITS[unit]}"
+
+
+GAP = 2  # characters between columns
+
+Row = TypeVar("Row")
+Lines = list[Text]
+
+
+@dataclass(frozen=True)
+class TableColumn(Generic[Row]):
+    """A column of a table.
+
+    Attributes
+    ----------
+    title
+        What stands above it.
+    value
+        What a row has there, others' words made printable.
+    width
+        How wide it is at least.
+    rank
+        How important it is; 0 is never left out.
+    align
+        To which side.
+    grows
+        Whether it takes the room that is left.
+    """
+
+    title: str
+    value: Callable[[Row], str]
+    width: int
+    rank: int = 0
+    align: Literal["left", "right"] = "right"
+    grows: bool = False
+
+
+def table_lines(
+    columns: Sequence[TableColumn[Row]],
+    rows: Sequence[Row],
+    width: int,
+    glyphs: Glyphs,
+    style: Callable[[Row], str] = lambda _: "",
+) -> Lines:
+    """A line with the titles, and one for each row; no line is longer than `width`.
+
+    A column without a title is there where it tells something.
+    """
+    told = [column for column in columns if column.title or any(column.value(row).strip() for row in rows)]
+    chosen = fitting_columns(told, width)
+    widths = [column.width for column in chosen]
+    growing = [number for number, column in enumerate(chosen) if column.grows]
+    spare = width - _total(chosen)
+    for number in growing[:1]:
+        needed = max([cell_len(chosen[number].value(row)) for row in rows], default=0)
+        widths[number] += max(0, min(spare, needed - widths[number]))
+    sized = list(zip(chosen, widths, strict=True))
+    head = Text(_line([(column.title, at, column.align) for column, at in sized], glyphs), style="dim")
+    return [
+        head,
+        *(
+            Text(
+                _line([(column.value(row), at, column.align) for column, at in sized], glyphs),
+                style=style(row),
+            )
+            for row in rows
+        ),
+    ]
+
+
+def fitting_columns(columns: Sequence[TableColumn[Row]], width: int) -> list[TableColumn[Row]]:
+    """The columns that there is room for."""
+    kept = list(columns)
+    while _total(kept) > width and any(column.rank for column in kept):
+        least = max(column.rank for column in kept)
+        kept.remove([column for column in kept if column.rank == least][-1])
+    return kept
+
+
+def fit_text(words: str, width: int, glyphs: Glyphs, align: str = "left") -> str:
+    """Words in exactly so many cells: filled up, or cut off where that shows."""
+    if cell_len(words) > width:
+        return set_cell_size(words, max(0, width - 1)) + glyphs.more if width > 0 else ""
+    return " " * (width - cell_len(words)) + words if align == "right" else set_cell_size(words, width)
+
+
+def _total(columns: Sequence[TableColumn[Row]]) -> int:
+    return sum(column.width for column in columns) + GAP * max(0, len(columns) - 1)
+
+
+def _line(cells: Sequence[tuple[str, int, str]], glyphs: Glyphs) -> str:
+    return (" " * GAP).join(fit_text(words, width, glyphs, align) for words, width, align in cells).rstrip()
+
+
+STYLES = {
+    "starting": "cyan", "running": "green", "paused": "yellow", "ending": "cyan",
+    "silent": "bold yellow", "gone": "bold red", "ended": "dim", "cancelled": "dim",
+    "working": "", "idle": "dim", "stuck": "bold yellow", "leaving": "cyan",
+    "job": "cyan", "run": "green", "trouble": "bold yellow", "error": "bold red",
+}  # fmt: skip
+"""How the states of jobs and workers and the kinds of events look, beside what their words say."""
+
+
+def job_list(views: Sequence[JobView], chosen: int, width: int, rows: int, glyphs: Glyphs) -> Lines:
+    """The jobs, in at most so many rows, among them the one that is chosen."""
+    first = first_row(len(views), rows, chosen - rows // 2)
+    numbered = list(enumerate(views))[first : first + rows]
+    columns: list[TableColumn[tuple[int, JobView]]] = [
+        TableColumn("", lambda one: glyphs.chosen if one[0] == chosen else " ", 1),
+        TableColumn("", lambda one: str(one[0] + 1) if one[0] < 9 else "", 1, rank=1),
+        TableColumn("job", lambda one: glyphs.text(one[1].job), 14, align="left", grows=True),
+        TableColumn("state", lambda one: glyphs.text(state_text(one[1])), 12, align="left"),
+        TableColumn("runs", lambda one: _runs(one[1]), 7, rank=5),
+        TableColumn("evaluations", lambda one: count_text(one[1].figures.evaluations), 11, rank=4),
+        TableColumn("done", lambda one: percent_text(one[1].figures.done, 1.0), 5),
+        TableColumn("left", lambda one: time_left(one[1]), 7, rank=2),
+        TableColumn("eval/s", lambda one: short_count(current_speed(one[1].history)), 6, rank=3),
+        TableColumn("cells", lambda one: count_text(one[1].figures.cells), 8, rank=6),
+        TableColumn("robust", lambda one: count_text(one[1].figures.robust), 8, rank=7),
+        TableColumn("workers", lambda one: count_text(one[1].figures.workers), 7, rank=8),
+    ]
+    return table_lines(columns, numbered, width, glyphs, lambda one: STYLES.get(one[1].state, ""))
+
+
+def state_text(view: JobView) -> str:
+    """The state of a job, with how long nothing was heard of it."""
+    return f"{view.state} {span_text(view.silent)}" if view.state in ("silent", "gone") else view.state
+
+
+def time_left(view: JobView) -> str:
+    """The time that a job still takes, at its speed so far."""
+    figures = view.figures
+    if figures.rate <= 0 or view.state in OVER:
+        return "-"
+    return span_text(figures.remaining / figures.rate)
+
+
+def current_speed(series: Series) -> float:
+    """The speed lately."""
+    return series.rate[-1] if series.rate else 0.0
+
+
+def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
+    """The runs of a job that were heard of: those in progress first, then the latest that ended."""
+    runs = [run for run in view.runs if not run.finished] + [run for run in view.runs[::-1] if run.finished]
+    columns: list[TableColumn[RunStatus]] = [
+        TableColumn("run", lambda run: glyphs.text(run.run), 16, align="left", grows=True),
+        TableColumn("evaluations", lambda run: count_text(run.evaluations), 11, rank=1),
+        TableColumn("done", lambda run: percent_text(run.done, 1.0), 5),
+        TableColumn("eval/s", lambda run: _speed(view, run), 6, rank=5),
+        TableColumn("cells", lambda run: count_text(run.cells), 8),
+        TableColumn("success", lambda run: percent_text(run.successes, run.evaluations), 7, rank=4),
+        TableColumn("robust", lambda run: count_text(run.robust), 8, rank=3),
+        TableColumn("errors", lambda run: count_text(run.errors), 6, rank=6),
+        TableColumn("", lambda run: glyphs.text(run.trouble or run.finished), 12, rank=7, align="left"),
+    ]
+    return table_lines(columns, runs, width, glyphs, _run_style)
+
+
+def worker_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
+    """The workers of a job; those that are in trouble first."""
+    rank = {"gone": 0, "stuck": 1, "leaving": 2}
+    workers = sorted(view.workers, key=lambda worker: (rank.get(worker.state, 3), worker.host, worker.pid))
+    columns: list[TableColumn[WorkerStatus]] = [
+        TableColumn("host", lambda one: glyphs.text(one.host), 12, align="left", grows=True),
+        TableColumn("process", lambda one: str(one.pid), 7, rank=6),
+        TableColumn("state", lambda one: glyphs.text(one.state), 7, align="left"),
+        TableColumn("rows/s", lambda one: short_count(one.rate), 6),
+        TableColumn("leases", lambda one: str(one.batches), 6, rank=2),
+        TableColumn("seen", lambda one: span_text(one.seen + view.silent), 6),
+        TableColumn("memory", lambda one: size_text(one.memory) if one.memory else "-", 6, rank=1),
+        TableColumn("rows", lambda one: count_text(one.rows), 9, rank=4),
+        TableColumn("restarts", lambda one: str(one.restarts), 8, rank=5),
+        TableColumn("here for", lambda one: span_text(one.seconds), 8, rank=7),
+        TableColumn("wid", lambda one: glyphs.text(one.wid[:8]), 8, rank=3, align="left"),
+    ]
+    return table_lines(columns, workers, width, glyphs, lambda one: STYLES.get(one.state, ""))
+
+
+def worker_words(view: JobView, glyphs: Glyphs) -> str:
+    """How many workers are in which state, and on how many hosts."""
+    states = Counter(worker.state for worker in view.workers)
+    hosts = len({worker.host for worker in view.workers})
+    how = ", ".join(f"{n} {glyphs.text(state)}" for state, n in states.most_common())
+    return f"{how} on {hosts} host{'s' * (hosts != 1)}" if how else "none has joined"
+
+
+def event_list(events: Sequence[JobEvent], width: int, glyphs: Glyphs) -> Lines:
+    """What happened, the latest first."""
+    head = Text(fit_text("at       what     happened", width, glyphs).rstrip(), style="dim")
+    return [
+        head,
+        *(Text(_event(one, width, glyphs), style=STYLES.get(one.kind, "")) for one in reversed(events)),
+    ]
+
+
+def first_row(total: int, rows: int, first: int) -> int:
+    """The first of `rows` lines that are shown of a list, where `first` is asked for."""
+    return max(0, min(first, total - rows))
+
+
+def _event(one: JobEvent, width: int, glyphs: Glyphs) -> str:
+    return fit_text(f"{_clock(one.at)} {one.kind:8} {glyphs.text(one.words)}", width, glyphs).rstrip()
+
+
+def _clock(at: datetime) -> str:
+    """What time it was for whoever sits here; a day that no calendar has is left as it came."""
+    with suppress(OverflowError):
+        at = at.astimezone()
+    return f"{at:%H:%M:%S}"
+
+
+def _runs(view: JobView) -> str:
+    figures = view.figures
+    failed = f"-{figures.runs_failed}" if figures.runs_failed else ""
+    return f"{figures.runs_done}{failed}/{figures.runs}"
+
+
+def _speed(view: JobView, run: RunStatus) -> str:
+    return (
+        ""
+        if run.finished or run.run not in view.histories
+        else short_count(current_speed(view.histories[run.run]))
+    )
+
+
+def _run_style(run: RunStatus) -> str:
+    return "bold yellow" if run.trouble else "dim" if run.finished else ""

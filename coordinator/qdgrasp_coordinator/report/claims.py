@@ -1,0 +1,337 @@
+"""Claims of Huber et al. 2024, section V, held against runs, with bootstrap intervals.
+
+Means and ratios are resampled over scenes and over the runs on each scene.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.report.run_groups import RunGroup, SceneName, default_groups, measure_of, value_after
+from qdgrasp_coordinator.report.run_history import RunHistory
+
+RESAMPLES = 5000
+CONFIDENCE_LEVEL = 0.95
+RESAMPLING_SEED = 0
+RunValues = NDArray[np.float64]
+ScenesOfRuns = Sequence[RunValues]
+"""For each scene the values of its runs (n,)."""
+
+
+@dataclass(frozen=True)
+class ConfidenceInterval:
+    """A number with its bootstrap interval."""
+
+    value: float
+    low: float
+    """NaN, as `high`: there is nothing to draw from, or only one run in each scene of only one scene."""
+    high: float
+    scenes: int
+    runs: tuple[int, ...]
+    """Of each arm, over all scenes."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is an interval at all."""
+        return not np.isnan(self.low)
+
+
+def mean_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> ConfidenceInterval:
+    """The mean over scenes of the means over runs; scenes without a run are left out."""
+    some = [found for found in values if len(found)]
+    return _interval([(found,) for found in some], lambda arms: arms[..., 0].mean(axis=-1), 1, seed)
+
+
+def ratio_interval(
+    upper: ScenesOfRuns, lower: ScenesOfRuns, seed: int = RESAMPLING_SEED
+) -> ConfidenceInterval:
+    """The ratio of two arms, their means in each scene scaled to a mean of 1 over both.
+
+    So each scene weighs the same, however large its numbers are, and exchanging the arms gives the
+    reciprocal. Scenes where an arm has no run, or where both found nothing, are left out. Infinite where the
+    lower arm found nothing.
+    """
+    some = [
+        (a, b) for a, b in zip(upper, lower, strict=True) if len(a) and len(b) and a.mean() + b.mean() > 0
+    ]
+    scaled = [tuple(2 * arm / (a.mean() + b.mean()) for arm in (a, b)) for a, b in some]
+    return _interval(scaled, _quotient, 2, seed)
+
+
+def _quotient(arms: RunValues) -> RunValues:
+    above, below = arms.sum(axis=-2)[..., 0], arms.sum(axis=-2)[..., 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        quotient: RunValues = np.where((above == 0) & (below == 0), 1.0, above / below)
+    return quotient
+
+
+def _interval(
+    scenes: Sequence[tuple[RunValues, ...]], statistic: Callable[[RunValues], RunValues], arms: int, seed: int
+) -> ConfidenceInterval:
+    runs = tuple(sum(len(scene[arm]) for scene in scenes) for arm in range(arms))
+    if not scenes:
+        return ConfidenceInterval(np.nan, np.nan, np.nan, 0, runs)
+    means = np.array([[arm.mean() for arm in scene] for scene in scenes])
+    value = float(statistic(means))
+    if len(scenes) == 1 and min(runs) < 2:
+        return ConfidenceInterval(value, np.nan, np.nan, 1, runs)
+    tail = (1 - CONFIDENCE_LEVEL) / 2
+    drawn = statistic(resample(scenes, RESAMPLES, np.random.default_rng(seed)))
+    low, high = np.quantile(drawn, (tail, 1 - tail), method="inverted_cdf")  # of infinite ones too
+    return ConfidenceInterval(value, float(low), float(high), len(scenes), runs)
+
+
+def resample(
+    scenes: Sequence[tuple[RunValues, ...]], resamples: int, random: np.random.Generator
+) -> RunValues:
+    """Means of each arm in each drawn scene: (resamples, scenes, arms)."""
+    chosen = random.integers(len(scenes), size=(resamples, len(scenes)))
+    means = np.empty((*chosen.shape, len(scenes[0])))
+    for number, scene in enumerate(scenes):
+        places = chosen == number
+        for arm, values in enumerate(scene):
+            drawn = random.integers(len(values), size=(int(places.sum()), len(values)))
+            means[..., arm][places] = values[drawn].mean(axis=1)
+    return means
+
+
+FEW_RUNS = 5  # With fewer runs than this in an arm, a bootstrap interval is narrower than it should be
+GroupsByScene = dict[SceneName, dict[str, RunGroup]]
+"""On each scene, the entry of each method."""
+
+
+@dataclass(frozen=True)
+class ClaimEvidence:
+    """One number."""
+
+    subject: str
+    """What is looked at, such as `contact_me_scs / contact_rand`."""
+    statistic: str
+    """What the number is."""
+    interval: ConfidenceInterval
+    evaluations: tuple[int, ...]
+    """After how many counted evaluations, on each scene."""
+
+    @property
+    def is_of_few(self) -> bool:
+        """Whether so few runs are behind it that its interval is too narrow."""
+        return min(self.interval.runs, default=0) < FEW_RUNS
+
+
+def groups_by_scene(entries: Sequence[RunGroup]) -> GroupsByScene:
+    """The entries that findings are made of: those with any row; of several variants, the most usual one."""
+    return default_groups(entry for entry in entries if entry.settled)
+
+
+def reached_ratio(scenes: GroupsByScene, *methods: str) -> ClaimEvidence | None:
+    """The ratio of what two methods reached after as many evaluations; None: no scene has both."""
+    upper, lower = list[RunValues](), list[RunValues]()
+    after, measures = list[int](), list[str]()
+    for pair in _groups_of(scenes, methods):
+        measure = measure_of(pair)
+        measures.append(measure.name)
+        after.append(min(run.evaluations for entry in pair for run in entry.settled))
+        for arm, entry in zip((upper, lower), pair, strict=True):
+            arm.append(np.array([value_after(run, measure, after[-1]) for run in entry.settled]))
+    if not after:
+        return None
+    statistic = f"ratio of {' and of '.join(dict.fromkeys(measures))}"
+    return ClaimEvidence(" / ".join(methods), statistic, ratio_interval(upper, lower), tuple(after))
+
+
+def late_share(scenes: GroupsByScene, method: str) -> ClaimEvidence | None:
+    """The share of what a method reached that the second half of its evaluations added."""
+    chosen = [entry for (entry,) in _groups_of(scenes, (method,))]
+    if not chosen:
+        return None
+    interval = mean_interval([_late_shares(entry) for entry in chosen])
+    return ClaimEvidence(method, "share added by the second half", interval, _least_evaluations(chosen))
+
+
+def _late_shares(entry: RunGroup) -> RunValues:
+    measure = measure_of([entry])
+    ends = np.array([value_after(run, measure, run.evaluations) for run in entry.settled])
+    halves = np.array([value_after(run, measure, run.evaluations // 2) for run in entry.settled])
+    shares: RunValues = 1 - halves[ends > 0] / ends[ends > 0]
+    return shares
+
+
+def near_nu_share(scenes: GroupsByScene, method: str) -> ClaimEvidence | None:
+    """The share of a method's successes with nu below pi / 4."""
+    chosen = [entry for (entry,) in _groups_of(scenes, (method,))]
+    if not chosen:
+        return None
+    return ClaimEvidence(
+        method, "share of successes with nu < pi/4", near_nu_interval(chosen), _least_evaluations(chosen)
+    )
+
+
+def near_nu_interval(entries: Sequence[RunGroup]) -> ConfidenceInterval:
+    """The share of successes with nu below pi / 4: mean over scenes of the mean over runs."""
+    return mean_interval([_near_nu_shares(entry.settled) for entry in entries])
+
+
+def _near_nu_shares(runs: Sequence[RunHistory]) -> RunValues:
+    return np.array([run.near_share for run in runs if run.near_share is not None], dtype=np.float64)
+
+
+def _groups_of(scenes: GroupsByScene, methods: tuple[str, ...]) -> Iterator[tuple[RunGroup, ...]]:
+    """The entries of these methods on each scene that has them all."""
+    for entries in scenes.values():
+        if all(method in entries for method in methods):
+            yield tuple(entries[method] for method in methods)
+
+
+def _least_evaluations(entries: Sequence[RunGroup]) -> tuple[int, ...]:
+    return tuple(min(run.evaluations for run in entry.settled) for entry in entries)
+
+
+CLOSE_RATIO = 1.25  # Two methods are close when neither reaches this many times what the other does
+FAR_RATIO = 0.5  # A method lags far behind when it reaches less than this share of what the other does
+PLATEAU_SHARE = 0.1
+"""A method plateaus when the second half of its evaluations adds less than this share of its end."""
+MAJORITY_SHARE = 0.5  # Successes concentrate where more than this share of them is
+
+
+class ClaimAgreement(Enum):
+    """Whether the runs agree with a claim."""
+
+    AGREES = "agrees"
+    DOES_NOT = "does not"
+    UNKNOWN = "cannot be said"
+    ABSENT = "not in this campaign"
+
+
+@dataclass(frozen=True)
+class AgreementBand:
+    """The values that agree with a claim, finite ends excluded."""
+
+    low: float
+    high: float
+
+    def verdict(self, found: ConfidenceInterval) -> ClaimAgreement:
+        """Whether the whole interval is in the band, outside of it, or neither."""
+        if not found.is_known:
+            return ClaimAgreement.UNKNOWN
+        if found.low > self.low and (found.high < self.high or math.isinf(self.high)):
+            return ClaimAgreement.AGREES
+        outside = found.high <= self.low or found.low >= self.high
+        return ClaimAgreement.DOES_NOT if outside else ClaimAgreement.UNKNOWN
+
+
+@dataclass(frozen=True)
+class PaperClaim:
+    """What the paper says, and how it is held against runs."""
+
+    letter: str
+    words: str
+    find: Callable[..., ClaimEvidence | None]
+    methods: tuple[tuple[str, ...], ...]
+    """What `find` is called with after the scenes, for each number."""
+    band: AgreementBand
+    criterion: str
+    """What the band means."""
+    beside: tuple[tuple[str, ...], ...] = ()
+    """The same for other methods, to compare with; not judged."""
+
+
+@dataclass(frozen=True)
+class JudgedClaim:
+    """A claim and what the runs say."""
+
+    claim: PaperClaim
+    findings: tuple[ClaimEvidence, ...]
+    beside: tuple[ClaimEvidence, ...]
+
+    @property
+    def absent(self) -> int:
+        """How many of its numbers lack a method in this campaign."""
+        return len(self.claim.methods) - len(self.findings)
+
+    @property
+    def is_of_few(self) -> bool:
+        """Whether one of its numbers has so few runs behind it that its interval is too narrow."""
+        return any(finding.is_of_few for finding in self.findings)
+
+    @property
+    def words(self) -> str:
+        """The verdict for a person."""
+        return f"{self.verdict.value}{' (of few runs)' if self.is_of_few else ''}"
+
+    @property
+    def verdict(self) -> ClaimAgreement:
+        """All numbers agree, one does not, or neither can be said."""
+        verdicts = {self.claim.band.verdict(finding.interval) for finding in self.findings}
+        if not verdicts:
+            return ClaimAgreement.ABSENT
+        if ClaimAgreement.DOES_NOT in verdicts:
+            return ClaimAgreement.DOES_NOT
+        return ClaimAgreement.UNKNOWN if ClaimAgreement.UNKNOWN in verdicts else ClaimAgreement.AGREES
+
+
+def judge_claims(entries: Sequence[RunGroup]) -> list[JudgedClaim]:
+    """Hold every claim against the runs at hand."""
+    scenes = groups_by_scene(entries)
+    return [
+        JudgedClaim(claim, _evidence(claim, claim.methods, scenes), _evidence(claim, claim.beside, scenes))
+        for claim in CLAIMS
+    ]
+
+
+def _evidence(
+    claim: PaperClaim, methods: Sequence[tuple[str, ...]], scenes: GroupsByScene
+) -> tuple[ClaimEvidence, ...]:
+    return tuple(filter(None, (claim.find(scenes, *names) for names in methods)))
+
+
+SEARCHES_WITH_PRIOR = ("contact_me_scs", "approach_me_scs")
+RANDOM_SCHEMES = ("contact_rand", "approach_rand", "antipodal_rand")
+CLAIMS = (
+    PaperClaim(
+        "a",
+        "ME_scs with priors beats every random scheme",
+        reached_ratio,
+        tuple(product(SEARCHES_WITH_PRIOR, RANDOM_SCHEMES)),
+        AgreementBand(1.0, math.inf),
+        "every ratio above 1",
+    ),
+    PaperClaim(
+        "b",
+        "contact and approach variants of ME_scs end close together",
+        reached_ratio,
+        (SEARCHES_WITH_PRIOR,),
+        AgreementBand(1 / CLOSE_RATIO, CLOSE_RATIO),
+        f"ratio between {1 / CLOSE_RATIO:g} and {CLOSE_RATIO:g}",
+    ),
+    PaperClaim(
+        "c",
+        "antipodal plateaus",
+        late_share,
+        (("antipodal_rand",), ("antipodal_me_scs",)),
+        AgreementBand(-math.inf, PLATEAU_SHARE),
+        f"the second half of the evaluations adds less than {PLATEAU_SHARE:.0%} of the end",
+        (("contact_me_scs",), ("approach_me_scs",)),
+    ),
+    PaperClaim(
+        "d",
+        "nu of contact_me_scs concentrates below pi/4",
+        near_nu_share,
+        (("contact_me_scs",),),
+        AgreementBand(MAJORITY_SHARE, math.inf),
+        "more than half of the successes",
+        (("contact_me_rand",), ("contact_rand",)),
+    ),
+    PaperClaim(
+        "e",
+        "plain me_scs lags far behind",
+        reached_ratio,
+        (("me_scs", "contact_me_scs"), ("me_scs", "approach_me_scs")),
+        AgreementBand(-math.inf, FAR_RATIO),
+        f"every ratio below {FAR_RATIO:g}",
+    ),
+)

@@ -1,0 +1,249 @@
+"""Access lists and size limits of routers, made from one table of traffic.
+
+The table says which role gives and takes which kind of message. A zenoh configuration for each role follows
+from it: for `zenohd`, `qdgrasp-router` and zenoh's own tools.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from qdgrasp_protocol.keys import AnyJob, patterns_intersect
+from qdgrasp_protocol.messages import MAX_PAYLOAD
+from qdgrasp_protocol.session import (
+    PORT,
+    Credentials,
+    Endpoint,
+    Role,
+    ZenohSettings,
+    session_settings,
+    to_json5,
+)
+
+JOBS = AnyJob()
+KIB, MIB = 1 << 10, 1 << 20
+COORDINATOR, RECORDER, WORKER = Role.COORDINATOR, Role.RECORDER, Role.WORKER
+MONITORING = frozenset({Role.MONITOR, Role.ADMIN})
+
+
+class TrafficKind(StrEnum):
+    """How two sides meet on a key."""
+
+    PUT = "put"
+    """One publishes, the others hear."""
+    QUERY = "query"
+    """One asks, the others answer."""
+    TOKEN = "token"  # noqa: S105  # a sign of life
+    """One is alive, the others watch."""
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """One kind of traffic.
+
+    Attributes
+    ----------
+    key
+        A pattern over the keys of all jobs.
+    way
+        How the two sides meet.
+    givers
+        Who publishes, asks, or is alive.
+    takers
+        Who hears, answers, or watches.
+    limit
+        The most bytes of what is published or asked.
+    answer_limit
+        The most bytes of an answer.
+    """
+
+    key: str
+    way: TrafficKind
+    givers: frozenset[Role]
+    takers: frozenset[Role]
+    limit: int = 0
+    answer_limit: int = 0
+
+
+def _put(key: str, givers: set[Role], takers: set[Role] | frozenset[Role], limit: int) -> Traffic:
+    return Traffic(key, TrafficKind.PUT, frozenset(givers), frozenset(takers), limit)
+
+
+def _query(
+    key: str, askers: set[Role] | frozenset[Role], answerers: set[Role], limit: int, answer: int
+) -> Traffic:
+    return Traffic(key, TrafficKind.QUERY, frozenset(askers), frozenset(answerers), limit, answer)
+
+
+def _token(key: str, holder: Role, watchers: set[Role] | frozenset[Role]) -> Traffic:
+    return Traffic(key, TrafficKind.TOKEN, frozenset({holder}), frozenset(watchers))
+
+
+TRAFFIC = (
+    _put(JOBS.work("*"), {COORDINATOR}, {WORKER}, 4 * MIB),
+    _put(JOBS.ctl("*"), {COORDINATOR}, {WORKER}, 256 * KIB),
+    _put(JOBS.result(), {WORKER}, {COORDINATOR}, 4 * MIB),
+    _put(JOBS.outcome(), {COORDINATOR}, {RECORDER}, 8 * MIB),
+    _put(JOBS.recorded, {RECORDER}, {COORDINATOR}, 4 * KIB),
+    _put(JOBS.stat("worker/*"), {WORKER}, {COORDINATOR}, 64 * KIB),
+    _put(JOBS.stat("job"), {COORDINATOR}, set(), 256 * KIB),
+    _put(JOBS.stat("run/*"), {COORDINATOR}, set(), 256 * KIB),
+    _put(JOBS.stat("team/*"), {COORDINATOR}, set(), 256 * KIB),
+    _put(JOBS.stat(), set(), MONITORING, 256 * KIB),
+    _put(JOBS.meta, {COORDINATOR}, MONITORING, 256 * KIB),
+    _put(JOBS.event(), {COORDINATOR}, MONITORING, 16 * KIB),
+    _query(JOBS.stat(), MONITORING, {COORDINATOR}, 4 * KIB, MIB),
+    _query(JOBS.meta, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
+    _query(JOBS.recent, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
+    _query(JOBS.entries, MONITORING, {RECORDER}, 4 * KIB, MIB),
+    _query(JOBS.finds, MONITORING, {RECORDER}, 4 * KIB, 2 * MIB),
+    _query(JOBS.recorded_asset(), MONITORING, {RECORDER}, 4 * KIB, MIB),
+    _query(JOBS.join, {WORKER}, {COORDINATOR}, 256 * KIB, 256 * KIB),
+    _query(JOBS.control, {Role.ADMIN}, {COORDINATOR}, 4 * KIB, 16 * KIB),
+    _query(JOBS.asset(), {WORKER, RECORDER}, {COORDINATOR}, 4 * KIB, MIB),
+    _query(JOBS.open, {COORDINATOR}, {RECORDER}, MAX_PAYLOAD, 256 * KIB),
+    _query(JOBS.log, {COORDINATOR}, {RECORDER}, 4 * KIB, 8 * MIB),
+    _token(JOBS.coordinator_token(), COORDINATOR, {COORDINATOR, WORKER, Role.MONITOR}),
+    _token(JOBS.worker_token(), WORKER, {COORDINATOR, Role.MONITOR}),
+    _token(JOBS.recorder_token(), RECORDER, {COORDINATOR, Role.MONITOR}),
+)
+"""All traffic there is (docs/bus.md, keys)."""
+
+
+GIVEN = {TrafficKind.PUT: ["put"], TrafficKind.QUERY: ["query"], TrafficKind.TOKEN: ["liveliness_token"]}
+"""What comes in from who publishes, asks or is alive; and goes out to the other side."""
+TAKEN = {
+    TrafficKind.PUT: ["declare_subscriber"],
+    TrafficKind.QUERY: ["declare_queryable", "reply"],
+    TrafficKind.TOKEN: ["declare_liveliness_subscriber", "liveliness_query"],
+}
+"""What comes in from who hears, answers or watches; and goes out to the other side."""
+
+
+def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> ZenohSettings:
+    """The access list and the size limits that a router's configuration holds."""
+    flows = tuple(traffic)
+    rules = [
+        rule for role in Role for rule in (_relayed(flows) if role is Role.ROUTER else _rules(role, flows))
+    ]
+    return {
+        "access_control": {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": rules,
+            "subjects": [{"id": role.value, "cert_common_names": [role.common_name]} for role in Role],
+            "policies": [
+                {
+                    "rules": [rule["id"] for rule in rules if _owner(rule) == role.value],
+                    "subjects": [role.value],
+                }
+                for role in Role
+            ],
+        },
+        "low_pass_filter": [limit for flow in flows for limit in _limits(flow)],
+    }
+
+
+def _rules(role: Role, flows: Sequence[Traffic]) -> list[dict[str, Any]]:
+    """The rules of one role: what it gives and takes, and what it is told of the other side."""
+    return [
+        rule
+        for way in TrafficKind
+        for rule in _rules_of(role, way, [flow for flow in flows if flow.way is way])
+    ]
+
+
+def _rules_of(role: Role, way: TrafficKind, flows: Sequence[Traffic]) -> list[dict[str, Any]]:
+    given = [flow.key for flow in flows if role in flow.givers]
+    taken = [flow.key for flow in flows if role in flow.takers]
+    takers = [
+        flow.key for flow in flows if flow.takers and any(patterns_intersect(flow.key, key) for key in given)
+    ]
+    sides = (
+        ("gives", GIVEN[way], "ingress", given),
+        ("is taken from", TAKEN[way], "egress", takers),
+        ("takes", TAKEN[way], "ingress", taken),
+        ("is given", GIVEN[way], "egress", taken),
+    )
+    return [
+        _rule(f"{role} {side} ({way})", messages, [direction], keys)
+        for side, messages, direction, keys in sides
+        if keys
+    ]
+
+
+def _relayed(flows: Sequence[Traffic]) -> list[dict[str, Any]]:
+    """The rules between routers: whatever one lets in, the other takes from it."""
+    return [
+        _rule(
+            f"{Role.ROUTER} relays ({way})",
+            GIVEN[way] + TAKEN[way],
+            ["ingress", "egress"],
+            [flow.key for flow in flows if flow.way is way],
+        )
+        for way in TrafficKind
+    ]
+
+
+def _rule(name: str, messages: list[str], directions: list[str], keys: list[str]) -> dict[str, Any]:
+    return {
+        "id": name,
+        "messages": messages,
+        "flows": directions,
+        "permission": "allow",
+        "key_exprs": list(dict.fromkeys(keys)),
+    }
+
+
+def _owner(rule: dict[str, Any]) -> str:
+    return str(rule["id"]).partition(" ")[0]
+
+
+def _limits(flow: Traffic) -> list[dict[str, Any]]:
+    """How large a message may be on a key, as published or asked and as answered."""
+    sizes = {
+        TrafficKind.PUT: [("put", flow.limit)],
+        TrafficKind.QUERY: [("query", flow.limit), ("reply", flow.answer_limit)],
+        TrafficKind.TOKEN: [],
+    }[flow.way]
+    return [
+        {
+            "id": f"{message} {flow.key}",
+            "messages": [message],
+            "flows": ["ingress", "egress"],
+            "key_exprs": [flow.key],
+            "size_limit": size,
+        }
+        for message, size in sizes
+    ]
+
+
+LISTEN_EVERYWHERE = "0.0.0.0"  # noqa: S104  # links are encrypted, and both sides show certificates
+ROUTER_TEMPLATE = """\
+A router of qdgrasp: `zenohd -c router.json5` or `qdgrasp-router --security DIR` reads it.
+Written by `qdgrasp security init`: mutual TLS, and whatever is not allowed here is denied.
+"""
+CLIENT_TEMPLATE = """\
+A session with the rights of the {role}, for zenoh's own tools: `z_sub -c {role}.json5 -k KEY`.
+Written by `qdgrasp security init`; the commands of qdgrasp need only `--security DIR`.
+"""
+
+
+def role_configuration(credentials: Credentials, host: str) -> str:
+    """The configuration file of a role.
+
+    Parameters
+    ----------
+    credentials
+        Whose, and where the certificates lie.
+    host
+        By what name or address clients reach the router.
+    """
+    if credentials.role is Role.ROUTER:
+        here = Endpoint.parse(f"tls/{LISTEN_EVERYWHERE}:{PORT}")
+        chosen = session_settings("router", listen=[here], credentials=credentials)
+        return to_json5(chosen | access_list(), ROUTER_TEMPLATE)
+    there = Endpoint.parse(f"tls/{f'[{host}]' if ':' in host else host}:{PORT}")
+    chosen = session_settings("client", connect=[there], credentials=credentials, seconds=10.0)
+    return to_json5(chosen, CLIENT_TEMPLATE.format(role=credentials.role))

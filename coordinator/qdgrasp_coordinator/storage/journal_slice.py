@@ -1,0 +1,92 @@
+"""Slices of a journal: consecutive final rows of one run, with costs and failure reasons."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Failure, Recordable
+from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, pack, unpack
+
+
+@dataclass(frozen=True)
+class JournalSlice:
+    """Rows of the journal from number `first` on."""
+
+    first: int
+    """The number of its first row; numbers count rows of the run from 0, in journal order."""
+    rows: Rows
+    cpu_seconds: float = 0.0
+    """CPU time of these rows on workers [s]; outside the digest, so it may be an estimate."""
+    failures: tuple[Failure, ...] = ()
+    """Reasons of rows with `Outcome.ERROR`, by their place in `rows`."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def stop(self) -> int:
+        """The number behind its last row."""
+        return self.first + len(self.rows)
+
+    def part(self, first: int, stop: int) -> "JournalSlice":
+        """Return the part with numbers from `first` up to `stop`; the cost goes by share of rows."""
+        low, high = max(first - self.first, 0), min(stop, self.stop) - self.first
+        if (low, high) == (0, len(self)):
+            return self
+        failures = tuple(
+            Failure(row=failure.row - low, reason=failure.reason)
+            for failure in self.failures
+            if low <= failure.row < high
+        )
+        return JournalSlice(
+            self.first + low, self.rows[low:high], self.cpu_seconds * (high - low) / len(self), failures
+        )
+
+
+def join_slices(stretches: Sequence[JournalSlice]) -> JournalSlice:
+    """Stretches that follow each other, as one; at least one."""
+    if len(stretches) == 1:
+        return stretches[0]
+    first = stretches[0].first
+    failures = tuple(
+        Failure(row=stretch.first - first + failure.row, reason=failure.reason)
+        for stretch in stretches
+        for failure in stretch.failures
+    )
+    rows = np.concatenate([stretch.rows for stretch in stretches])
+    return JournalSlice(first, rows, sum(stretch.cpu_seconds for stretch in stretches), failures)
+
+
+def slice_to_message(stretch: JournalSlice, run: str, epoch: int, shape: RowShape) -> Recordable:
+    """Pack a stretch of a run's journal into a message."""
+    return Recordable(
+        epoch=epoch,
+        run=run,
+        first=stretch.first,
+        n=len(stretch),
+        genes=shape.genes,
+        joints=shape.joints,
+        descriptors=shape.descriptors,
+        columns=pack(stretch.rows, COLUMNS),
+        cpu_seconds=stretch.cpu_seconds,
+        failures=list(stretch.failures),
+    )
+
+
+def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
+    """The stretch in a message.
+
+    Raises
+    ------
+    MessageError
+        Its rows are not of this shape, or it tells of a failure in a row that it does not hold.
+    """
+    came = RowShape(message.genes, message.joints, message.descriptors)
+    if came != shape:
+        raise MessageError(f"expected rows of {shape}, got {came}")
+    if any(failure.row >= message.n for failure in message.failures):
+        raise MessageError(f"a failure in a row behind its last, {message.n - 1}")
+    rows = unpack(shape.empty(message.n), COLUMNS, message.columns, shape)
+    return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures))

@@ -1,0 +1,281 @@
+"""Evaluates recorded rows again by their genomes, and compares the results bit for bit.
+
+Rows are drawn so that each outcome has its share, and evaluated as runs of a temporary job.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from qdgrasp_coordinator.local.progress import ProgressDisplay
+from qdgrasp_coordinator.local.session import run_temporary_job
+from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, ReevaluationPlan, RunPlan, row_shape
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_coordinator.storage import run_folder
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
+from qdgrasp_coordinator.verification.comparison import (
+    ComparedValues,
+    DifferentRow,
+    PlatformShare,
+    VerificationReport,
+    column_words,
+    compare_rows,
+)
+from qdgrasp_coordinator.verification.replay_client import in_own_shape
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.spec import to_toml
+
+RowKinds = NDArray[np.unsignedinteger]
+
+
+def balanced_sample(kinds: RowKinds, n: int, random: Generator) -> NDArray[np.int64]:
+    """Choose `n` rows, as many of each kind (rows,) as of any other; their places, ascending.
+
+    Of a kind that has fewer all are taken, of one that has more they are drawn uniformly; all, where there
+    are fewer than `n`.
+    """
+    order = random.permutation(len(kinds))
+    order = order[np.argsort(kinds[order], kind="stable")]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(kinds))])
+    turns = np.arange(len(order)) - starts[kinds[order]]
+    chosen = order[np.argsort(turns, kind="stable")[:n]]
+    places: NDArray[np.int64] = np.sort(chosen)
+    return places
+
+
+MOST_ROWS = 4096  # Rows in a lot
+
+
+@dataclass(frozen=True)
+class RowSelection:
+    """Some rows of one run."""
+
+    folder: RunFolder
+    found_by: Provenance
+    numbers: NDArray[np.int64]
+    """(n,): of the rows in the folder's journal, ascending."""
+
+    def rows(self) -> Rows:
+        """The rows as they are recorded, in the shape of their own run."""
+        first, stop = int(self.numbers[0]), int(self.numbers[-1]) + 1
+        with self.folder.journal() as journal:
+            parts, begin = [], first
+            for rows in journal.kept(first, stop):
+                here = self.numbers[(self.numbers >= begin) & (self.numbers < begin + len(rows))]
+                parts.append(rows[here - begin])
+                begin += len(rows)
+        return in_own_shape(np.concatenate(parts), self.folder, self.found_by, self.folder.scene())
+
+
+TakeComparison = Callable[[RowSelection, int, np.void, np.void, str], None]
+"""Takes a lot, a row's place in it, the row as recorded and as now, and why it failed."""
+
+
+class ReevaluationQueue:
+    """Programme of a job that evaluates lots of rows again; each is read when it is next."""
+
+    def __init__(self, lots: Sequence[RowSelection], compared: TakeComparison) -> None:
+        self._lots = {str(number): lot for number, lot in enumerate(lots)}
+        self._left = deque(self._lots)
+        self._compared = compared
+        self.extent = JobExtent.of({name: len(lot.numbers) for name, lot in self._lots.items()})
+
+    def next(self) -> RunPlan | None:
+        """Return the next lot; None when no lot is left."""
+        if not self._left:
+            return None
+        name = self._left.popleft()
+        return self._assignment(name, self._lots[name])
+
+    def put_back(self, run: str) -> None:
+        """Have a lot evaluated from its beginning, before any other."""
+        self._left.appendleft(run)
+
+    def _assignment(self, name: str, lot: RowSelection) -> RunPlan:
+        spec, recorded = lot.found_by.spec, lot.rows()
+        prior = method(spec.method).prior
+
+        def compare(place: int, now: np.void, reason: str) -> None:
+            self._compared(lot, place, recorded[place], now, reason)
+
+        return RunPlan(
+            name,
+            to_toml(spec).encode(),
+            lot.folder.bundle(),
+            prior,
+            row_shape(lot.folder.scene(), prior),
+            ReevaluationPlan(recorded, compare),
+            len(recorded),
+        )
+
+
+VERIFICATION_JOB = "verify"
+TRIAL_KIND = 16  # Offset of a trial's kind from that of a nominal row with the same outcome
+
+
+@dataclass(frozen=True)
+class ComparableRows:
+    """The rows of one run in one folder, of which some are chosen."""
+
+    folder: RunFolder
+    found_by: Provenance
+    numbers: NDArray[np.int64]
+    """(n,): of those that can be compared, ascending."""
+    kinds: NDArray[np.uint8]
+    """(n,): by outcome, nominal rows apart from trials."""
+
+
+class ComparisonCounts:
+    """Results of the rows that were evaluated again so far."""
+
+    def __init__(self) -> None:
+        self.different: list[DifferentRow] = []
+        self.columns: Counter[str] = Counter()
+        self.outcomes: Counter[Outcome] = Counter()
+        self._records: list[MemorySink] = []
+
+    def compared(self, lot: RowSelection, place: int, recorded: np.void, now: np.void, reason: str) -> None:
+        """Compare a row with what is recorded, and count it."""
+        self.outcomes[Outcome(recorded["outcome"])] += 1
+        unlike = compare_rows(recorded.reshape(1), now.reshape(1))
+        names = [name for name, differs in unlike.items() if differs[0]]
+        if names:
+            self.columns.update(names)
+            values = {
+                name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
+                for name in names
+            }
+            self.different.append(_different_row(lot, place, recorded, values, reason))
+
+    def record(self, assignment: RunPlan) -> MemorySink:
+        """Make the in-memory record of a lot."""
+        self._records.append(MemorySink(assignment.shape))
+        return self._records[-1]
+
+    @property
+    def platform(self) -> dict[str, str]:
+        """Platform on which they were evaluated."""
+        return next((record.platform for record in self._records if record.platform), {})
+
+
+def run_folders_at(path: Path) -> list[RunFolder]:
+    """The runs at `path`: that of a run's own folder, or those of a campaign.
+
+    Raises
+    ------
+    FolderError
+        There is neither.
+    """
+    if JobFolder.is_job(path) and JobFolder(path).is_campaign:
+        return [RunFolder.open(run) for run in JobFolder(path).run_paths]
+    return [RunFolder.open(path)]
+
+
+def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> list[RowSelection]:
+    """Choose rows of all folders, as many of each kind as of any other; `most` None: all.
+
+    Left out are rows on which the simulator failed: a machine may have been to blame.
+
+    Raises
+    ------
+    InputError
+        There are none.
+    """
+    stocks = [stock for folder in folders for stock in _comparable_rows(folder)]
+    kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *(stock.kinds for stock in stocks)])
+    if not len(kinds):
+        raise InputError("Nothing is recorded there that could be evaluated again.")
+    places = balanced_sample(kinds, len(kinds) if most is None else most, np.random.default_rng(seed))
+    return list(_selections(stocks, places))
+
+
+def verify_rows(
+    lots: Sequence[RowSelection], team: LocalJobConfig, display: ProgressDisplay, stop: Stop
+) -> VerificationReport:
+    """Evaluate rows again with workers of this machine, and compare every result bit for bit.
+
+    Raises
+    ------
+    RunsFailed
+        A folder cannot be read.
+    EndedEarly
+        Workers die again and again.
+    """
+    found = ComparisonCounts()
+    run_temporary_job(
+        VERIFICATION_JOB, ReevaluationQueue(lots, found.compared), found.record, team, display, stop
+    )
+    rows = sum(found.outcomes.values())
+    return VerificationReport(
+        rows=rows,
+        same=rows - len(found.different),
+        runs=len({(lot.folder.path, lot.found_by.run) for lot in lots}),
+        outcomes={outcome.name.lower(): found.outcomes[outcome] for outcome in sorted(found.outcomes)},
+        different=sorted(found.different, key=lambda one: (one.folder, one.number)),
+        columns=dict(found.columns.most_common()),
+        platform=found.platform,
+        origins=list(_platform_shares(lots, found.platform)),
+    )
+
+
+def _comparable_rows(folder: RunFolder) -> Iterator[ComparableRows]:
+    """The rows of a folder that can be compared, run by run."""
+    with folder.journal() as journal:
+        for found_by in provenances(folder, journal):
+            blocks = journal.kept(found_by.rows.start, found_by.rows.stop)
+            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *map(_row_kinds, blocks)])
+            places = np.flatnonzero(kinds % TRIAL_KIND != Outcome.ERROR)
+            yield ComparableRows(folder, found_by, places + found_by.rows.start, kinds[places])
+
+
+def _row_kinds(rows: Rows) -> NDArray[np.uint8]:
+    """Return the kind of each row, from its outcome and trial: (n,)."""
+    kinds: NDArray[np.uint8] = rows["outcome"] + np.where(rows["trial"] > 0, TRIAL_KIND, 0).astype(np.uint8)
+    return kinds
+
+
+def _selections(stocks: Sequence[ComparableRows], places: NDArray[np.int64]) -> Iterator[RowSelection]:
+    """Yield the rows at some places of all stocks, ascending, in lots."""
+    first = 0
+    for stock in stocks:
+        here = places[(places >= first) & (places < first + len(stock.numbers))] - first
+        first += len(stock.numbers)
+        for start in range(0, len(here), MOST_ROWS):
+            yield RowSelection(stock.folder, stock.found_by, stock.numbers[here[start : start + MOST_ROWS]])
+
+
+def _different_row(
+    lot: RowSelection, place: int, recorded: np.void, values: dict[str, ComparedValues], reason: str
+) -> DifferentRow:
+    return DifferentRow(
+        folder=str(lot.folder.path),
+        run=lot.found_by.run,
+        number=int(lot.numbers[place]),
+        generation=int(recorded["generation"]),
+        index=int(recorded["index"]),
+        trial=int(recorded["trial"]),
+        columns=values,
+        reason=reason,
+    )
+
+
+def _platform_shares(lots: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
+    """The platforms that rows were made on, those of most rows first."""
+    counts: Counter[tuple[tuple[str, str], ...]] = Counter()
+    for lot in lots:
+        counts[tuple(sorted(lot.found_by.platform.items()))] += len(lot.numbers)
+    for items, rows in counts.most_common():
+        platform = dict(items)
+        yield PlatformShare(
+            rows=rows, platform=platform, differences=run_folder.platform_differences(platform, now)
+        )

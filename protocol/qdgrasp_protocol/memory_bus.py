@@ -1,0 +1,265 @@
+"""The in-memory twin of the bus, with links that can be cut: for tests, and for jobs in one process.
+
+A message is delivered in the thread that puts it, before `put` returns, to subscribers in the order they
+subscribed: one thread that acts sees everything in one order. A query is answered in a thread of its own,
+so that its time-out holds.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
+from contextlib import AbstractContextManager
+from typing import TypeVar
+
+import structlog
+
+from qdgrasp_protocol.bus import (
+    Bus,
+    Channel,
+    Declaration,
+    Query,
+    QueryHandler,
+    RingBuffer,
+    Sample,
+    SampleHandler,
+    TokenHandler,
+    ValuesHandler,
+    reply_error,
+)
+from qdgrasp_protocol.errors import BusError, NoReply
+from qdgrasp_protocol.keys import matches, patterns_intersect
+
+log = structlog.get_logger()
+
+
+class Registration:
+    """Something a session declared on a pattern."""
+
+    def __init__(self, session: "MemoryBus", pattern: str) -> None:
+        self.session = session
+        self.pattern = pattern
+
+
+E = TypeVar("E", bound=Registration)
+
+
+class LivelinessToken(Registration):
+    """A session is alive under a key."""
+
+
+class Subscriber(Registration):
+    """A session hears messages."""
+
+    def __init__(self, session: "MemoryBus", pattern: str, handler: SampleHandler) -> None:
+        super().__init__(session, pattern)
+        self.handler = handler
+
+
+class MemoryRing(RingBuffer):
+    """A subscriber's latest messages."""
+
+    def __init__(self, capacity: int) -> None:
+        super().__init__()
+        self.heard: deque[Sample] = deque(maxlen=capacity)
+
+    def take(self) -> list[Sample]:
+        """Take what is there."""
+        taken = []
+        while self.holds and self.heard:
+            taken.append(self.heard.popleft())
+        return taken
+
+
+class Queryable(Registration):
+    """A session answers queries, one after the other, with values by their keys."""
+
+    def __init__(self, session: "MemoryBus", pattern: str, handler: ValuesHandler) -> None:
+        super().__init__(session, pattern)
+        self._handler = handler
+        self._turn = threading.Lock()
+
+    def reply(self, query: Query, answer: "Future[Mapping[str, bytes]]") -> None:
+        """Put the handler's values, or why there are none, into `answer`."""
+        with self._turn:
+            try:
+                answer.set_result(self._handler(query))
+            except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
+                answer.set_exception(reply_error(error, query.key))
+
+
+class LivelinessWatcher(Registration):
+    """A session watches tokens; it knows which it was told are alive."""
+
+    def __init__(self, session: "MemoryBus", pattern: str, handler: TokenHandler) -> None:
+        super().__init__(session, pattern)
+        self._handler = handler
+        self._alive: list[str] = []
+
+    def look(self, tokens: list[str]) -> None:
+        """Tell the handler what changed since the last look."""
+        before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
+        self._alive = now
+        for key in before:
+            if key not in now:
+                _call(self._handler, key, False)
+        for key in now:
+            if key not in before:
+                _call(self._handler, key, True)
+
+
+class MemoryNetwork:
+    """What the sessions of one process share."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()  # held while tokens are told, so that all hear of them in one order
+        self._entries: list[Registration] = []
+
+    def session(self) -> "MemoryBus":
+        """Open a session."""
+        return MemoryBus(self)
+
+    def add(self, entry: Registration) -> Declaration:
+        """Let an entry hold until its declaration ends."""
+        with self._lock:
+            self._entries.append(entry)
+            self.tell_tokens()
+        return Declaration(lambda: self.remove(lambda other: other is entry))
+
+    def remove(self, is_over: Callable[[Registration], bool]) -> None:
+        """Let entries end."""
+        with self._lock:
+            self._entries = [entry for entry in self._entries if not is_over(entry)]
+            self.tell_tokens()
+
+    def visible(self, kind: type[E], session: "MemoryBus") -> list[E]:
+        """The entries of a kind that `session` has a way to."""
+        with self._lock:
+            return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
+
+    def tell_tokens(self) -> None:
+        """Let every watcher look at the tokens it can see."""
+        with self._lock:
+            for watcher in [e for e in self._entries if isinstance(e, LivelinessWatcher)]:
+                watcher.look([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
+
+
+class MemoryBus(Bus):
+    """A session of a `MemoryNetwork`."""
+
+    def __init__(self, network: MemoryNetwork) -> None:
+        self._network = network
+        self._links: list[Callable[[bool], None]] = []
+        self._is_open = True
+        self._is_cut = False
+
+    def reaches(self, other: "MemoryBus") -> bool:
+        """Whether there is a way between two sessions."""
+        return self is other or not (self._is_cut or other._is_cut)
+
+    def cut(self) -> None:
+        """Break the link to all others; what is put meanwhile is lost."""
+        self._set_cut(True)
+
+    def mend(self) -> None:
+        """Restore the link; tokens appear again."""
+        self._set_cut(False)
+
+    def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
+        """Deliver a message to everybody who hears it, before this call returns."""
+        self._check_open()
+        sample = Sample(key, bytes(payload), encoding)
+        for subscriber in self._network.visible(Subscriber, self):
+            if matches(subscriber.pattern, key):
+                _call(subscriber.handler, sample)
+
+    def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
+        """Hear messages."""
+        return self._declare(Subscriber(self, pattern, handler))
+
+    def ring(self, pattern: str, capacity: int) -> RingBuffer:
+        """Keep messages."""
+        ring = MemoryRing(capacity)
+        ring.undo = self._declare(Subscriber(self, pattern, ring.heard.append)).undo
+        return ring
+
+    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
+        """Answer queries, one at a time."""
+        return self.show(pattern, lambda query: {query.key: handler(query)})
+
+    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries with values."""
+        return self._declare(Queryable(self, pattern, handler))
+
+    def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
+        """Query a key."""
+        self._check_open()
+        answerers = [a for a in self._network.visible(Queryable, self) if matches(a.pattern, key)]
+        if not answerers:
+            raise NoReply(f"Nobody answers {key}.")
+        try:
+            values = _query(answerers[0], Query(key, parameters, bytes(payload))).result(timeout)
+        except TimeoutError:
+            raise NoReply(f"Nobody answered {key} within {timeout:g} s.") from None
+        if key not in values:
+            raise NoReply(f"Nobody has a value of {key}.")
+        return values[key]
+
+    def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
+        """Query all there are."""
+        self._check_open()
+        answerers = [
+            a for a in self._network.visible(Queryable, self) if patterns_intersect(a.pattern, pattern)
+        ]
+        answers = [_query(answerer, Query(pattern, "", b"")) for answerer in answerers]
+        answered, _ = wait(answers, timeout)
+        found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
+        return {key: value for values in found for key, value in values.items() if matches(pattern, key)}
+
+    def token(self, key: str) -> AbstractContextManager[None]:
+        """Be alive."""
+        return self._declare(LivelinessToken(self, key))
+
+    def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
+        """Hear of tokens."""
+        return self._declare(LivelinessWatcher(self, pattern, handler))
+
+    def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
+        """Hear of `cut` and `mend`."""
+        self._check_open()
+        self._links.append(handler)
+        return Declaration(lambda: self._links.remove(handler))
+
+    def close(self) -> None:
+        """Take back everything declared."""
+        self._is_open = False
+        self._network.remove(lambda entry: entry.session is self)
+
+    def _declare(self, entry: Registration) -> Declaration:
+        self._check_open()
+        return self._network.add(entry)
+
+    def _set_cut(self, cut: bool) -> None:
+        if cut != self._is_cut:
+            self._is_cut = cut
+            for handler in list(self._links):
+                _call(handler, not cut)
+            self._network.tell_tokens()
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise BusError("The session is closed.")
+
+
+def _query(answerer: Queryable, query: Query) -> "Future[Mapping[str, bytes]]":
+    """The answer to come, from a thread of its own."""
+    answer: Future[Mapping[str, bytes]] = Future()
+    threading.Thread(target=answerer.reply, args=(query, answer), daemon=True).start()
+    return answer
+
+
+def _call(handler: Callable[..., None], *arguments: object) -> None:
+    try:
+        handler(*arguments)
+    except Exception:
+        log.exception("a callback failed")

@@ -1,0 +1,363 @@
+"""Processes: how one ends, how it logs, and groups of them that a command starts and watches.
+
+A process lives until its work is done, a signal comes, or whoever started it is gone. A service waits on an
+inbox; stopping puts one more event into it. So no loop polls for signals, and a process ends within the time
+that its present piece of work takes.
+
+Logs are sentences with fields on standard error; a person reads the sentence, a machine the fields.
+
+A process group is a context manager: leaving it ends every process that is still there, by pid. Should the
+command itself be killed, each member sees its standard input end and stops by itself (`lifetime`).
+"""
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from traceback import TracebackException
+from types import FrameType, TracebackType
+from typing import IO, TextIO, cast
+
+import structlog
+from setproctitle import setproctitle
+from structlog.typing import EventDict, ExcInfo
+
+from qdgrasp_protocol.session import SECURITY_VARIABLE
+from qdgrasp_protocol.text import printable
+
+SUPERVISED = "QDGRASP_SUPERVISED"
+"""Set for a process that lives only as long as the process at the other end of its standard input."""
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNAL_REPEAT_INTERVAL = 0.1  # seconds in which the main thread hears a signal, as a rule
+ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
+
+
+class Stop:
+    """Whether this process is asked to stop, and by what."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self.latest: int | None = None
+        """The last signal of several; the first decides the exit code."""
+        self._told: list[Callable[[], None]] = []
+
+    @property
+    def is_set(self) -> bool:
+        """A signal asked this process to stop."""
+        return self.signal is not None
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 128 plus the signal that ended the process: 130 for Ctrl-C, 143 for SIGTERM."""
+        return 0 if self.signal is None else 128 + self.signal
+
+    def tell(self, callback: Callable[[], None]) -> None:
+        """Call `callback` when the process is asked to stop. It runs in a signal handler: put and return."""
+        self._told.append(callback)
+
+    def set(self, number: int, _frame: FrameType | None = None) -> None:
+        """Ask this process to stop; the first reason stays."""
+        self.latest = number
+        if self.signal is None:
+            self.signal = number
+        for callback in self._told:
+            callback()
+
+
+@contextmanager
+def lifetime(title: str) -> Iterator[Stop]:
+    """Name this process for `ps`, and turn SIGINT, SIGTERM and the end of its starter into a `Stop`."""
+    setproctitle(title)
+    stop = Stop()
+    notes = signal.set_wakeup_fd(begin := _start_signal_thread(stop), warn_on_full_buffer=False)
+    before = {number: signal.signal(number, stop.set) for number in STOP_SIGNALS}
+    if os.environ.pop(SUPERVISED, None):
+        threading.Thread(target=_end_with_parent, name="starter", daemon=True).start()
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(notes)
+        os.close(begin)
+
+
+def _start_signal_thread(stop: Stop) -> int:
+    """Start a thread that takes the kernel's notes of signals; gives where they are to be written."""
+    end, begin = os.pipe()
+    os.set_blocking(begin, False)
+    threading.Thread(target=_repeat_signal, args=(end, stop), name="signals", daemon=True).start()
+    return begin
+
+
+def _repeat_signal(end: int, stop: Stop) -> None:
+    """Send a signal again until it is heard: one that comes right before a wait in C wakes nobody."""
+    main = threading.main_thread().ident or 0
+    while note := os.read(end, 1):
+        while note[0] in STOP_SIGNALS and not stop.is_set:
+            time.sleep(SIGNAL_REPEAT_INTERVAL)
+            if not stop.is_set:
+                signal.pthread_kill(main, note[0])
+    os.close(end)
+
+
+def _end_with_parent() -> None:
+    """End this process once nobody holds the other end of its standard input."""
+    while os.read(0, 1024):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(ORPHAN_GRACE)  # what is left after it hangs in a call that never returns
+    os._exit(128 + signal.SIGTERM)
+
+
+STANDARD_ERROR = 2
+
+
+class UnbufferedStderr:
+    """Standard error without a buffer; what is said on a full disk is lost, and nobody dies of it."""
+
+    def write(self, text: str) -> None:
+        """Say it now or never."""
+        with suppress(OSError):
+            os.write(STANDARD_ERROR, text.encode(errors="replace"))
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+
+def escape_event(_logger: object, _method: str, event: EventDict) -> EventDict:
+    """Escape what others wrote; values that are no strings are shown by their `repr`, which does so too."""
+    return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
+
+
+def write_traceback(sink: TextIO, error: ExcInfo) -> None:
+    """Write a traceback without the values of variables, and with what others wrote escaped."""
+    for piece in TracebackException(*error).format():
+        is_frame = piece.startswith("  ")  # some lines of code; anything else is a sentence
+        for line in piece.rstrip().split("\n") if is_frame else [piece.strip()]:
+            sink.write(f"\n{printable(line)}")
+
+
+def configure_logging(role: str, *, level: int = logging.INFO) -> None:
+    """Send this process's log to standard error, each line marked with its role."""
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False),
+            escape_event,
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(), pad_event_to=0, exception_formatter=write_traceback
+            ),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        logger_factory=structlog.PrintLoggerFactory(file=cast(TextIO, UnbufferedStderr())),
+    )
+    structlog.contextvars.bind_contextvars(role=role)
+
+
+GRACE = 2.0  # seconds that a process may take to stop before it is killed
+GRACE_MARGIN = 0.5  # of them, those that it is not told of, so that it is not killed while it stops
+BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Each process works on one core."""
+STEADY_SECONDS = 5.0  # seconds of life after which the next death starts from the first back-off again
+
+
+@dataclass
+class GroupMember:
+    """One process of a crew."""
+
+    name: str
+    arguments: list[str]
+    log: Path | None
+    """Where it speaks; None: where this process does."""
+    process: subprocess.Popen[bytes]
+    started: float
+    restarts: int = 0
+    restart_at: float | None = None
+    log_start: int = 0
+    """Where in the log this process began to write."""
+    core: int | None = None
+    """The core that it is kept on; None: any."""
+
+
+@dataclass(frozen=True)
+class ProcessExit:
+    """A member of the crew ended."""
+
+    name: str
+    exit_code: int
+    """Negative: the signal that killed it."""
+
+    @property
+    def words(self) -> str:
+        """How it ended, for a person."""
+        if self.exit_code < 0:
+            return f"was killed by {signal.Signals(-self.exit_code).name}"
+        return f"ended with exit code {self.exit_code}"
+
+
+def back_off(restarts: int) -> float:
+    """Seconds to wait before the next start of a member that was restarted `restarts` times in a row."""
+    return float(min(BACK_OFF_FIRST * 2**restarts, BACK_OFF_LAST))
+
+
+class ProcessGroup:
+    """Processes by name.
+
+    Parameters
+    ----------
+    logs
+        Where each has a log file; None: they speak where this process does.
+    grace
+        Seconds that they may take to stop.
+    """
+
+    def __init__(self, logs: Path | None, grace: float = GRACE) -> None:
+        self._logs = logs
+        self._grace = grace
+        self._leave_by: float | None = None
+        self._members: dict[str, GroupMember] = {}
+
+    @property
+    def members_grace(self) -> float:
+        """Seconds that a member may be told to take at most."""
+        return max(0.0, self._grace - GRACE_MARGIN)
+
+    def hire(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
+        """Start `python -m module arguments` as the member `name`, on one core or on any."""
+        command = [sys.executable, "-m", module, *arguments]
+        log = self._log(name)
+        began = log.stat().st_size if log is not None and log.exists() else 0
+        started = time.monotonic()
+        self._members[name] = GroupMember(
+            name, command, log, _start(command, log, core), started, log_start=began, core=core
+        )
+
+    def deaths(self) -> list[ProcessExit]:
+        """The members that ended since the last look, and are not to be started again yet."""
+        found = []
+        for member in self._members.values():
+            code = member.process.poll()
+            if code is not None and member.restart_at is None:
+                member.restart_at = float("inf")
+                found.append(ProcessExit(member.name, code))
+        return found
+
+    def restart_later(self, name: str, now: float) -> float:
+        """Start a dead member again after its back-off; returns the seconds until then."""
+        member = self._members[name]
+        if now - member.started > STEADY_SECONDS:
+            member.restarts = 0
+        pause = back_off(member.restarts)
+        member.restarts += 1
+        member.restart_at = now + pause
+        return pause
+
+    def restart_due(self, now: float) -> None:
+        """Start the dead members whose back-off is over."""
+        for member in self._members.values():
+            if member.restart_at is not None and member.restart_at <= now:
+                member.process, member.started = _start(member.arguments, member.log, member.core), now
+                member.restart_at = None
+
+    def last_words(self, name: str) -> str:
+        """The sentence with which a member ended; empty where it ended without one."""
+        member = self._members[name]
+        if member.log is None:
+            return ""
+        try:
+            said = member.log.read_bytes()[member.log_start :].decode(errors="replace")
+        except OSError:
+            return ""
+        mark = "qdgrasp-"
+        lines = [line for line in said.splitlines() if line.startswith(mark) and ": " in line]
+        return lines[-1].partition(": ")[2] if lines else ""
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """The process of a member."""
+        return self._members[name].process
+
+    def pids(self) -> dict[str, int]:
+        """The process ids of the members that live."""
+        return {m.name: m.process.pid for m in self._members.values() if m.process.poll() is None}
+
+    def _alive(self) -> list[subprocess.Popen[bytes]]:
+        return [member.process for member in self._members.values() if member.process.poll() is None]
+
+    def bid_leave(self, number: int = signal.SIGTERM) -> None:
+        """Ask every member to stop, by a signal; the grace begins."""
+        self._leave_by = time.monotonic() + self._grace
+        for process in self._alive():
+            process.send_signal(number)
+
+    def dismiss(self, number: int = signal.SIGTERM) -> None:
+        """End every member: politely, by a signal, then, after the grace, by force."""
+        if self._leave_by is None:
+            self.bid_leave(number)
+        for process in self._alive():
+            try:
+                process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        for member in self._members.values():
+            _close_pipe(member.process.stdin)
+
+    def __enter__(self) -> "ProcessGroup":
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self.dismiss()
+
+    def _log(self, name: str) -> Path | None:
+        if self._logs is None:
+            return None
+        self._logs.mkdir(parents=True, exist_ok=True)
+        return self._logs / f"{name}.log"
+
+
+def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
+    """Start a process that lives only as long as we do, in a session of its own, so that Ctrl-C is ours."""
+    with nullcontext() if log is None else log.open("ab") as file, _pinned_to(core):
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=file,
+            stderr=file,
+            start_new_session=True,
+            env=_environment(),
+        )
+
+
+def _environment() -> dict[str, str]:
+    """Ours, but for certificates: they go with an endpoint, and we say for each whether it is encrypted."""
+    ours = {name: value for name, value in os.environ.items() if name != SECURITY_VARIABLE}
+    return {**ours, **ONE_THREAD, SUPERVISED: "1"}
+
+
+def _close_pipe(pipe: IO[bytes] | None) -> None:
+    if pipe is not None:
+        pipe.close()
+
+
+@contextmanager
+def _pinned_to(core: int | None) -> Iterator[None]:
+    """Keep this process on a core while it starts another, which stays there."""
+    cores = os.sched_getaffinity(0)
+    if core is not None:
+        os.sched_setaffinity(0, {core})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)

@@ -1,0 +1,44 @@
+"""Words for people: names and numbers within sentences, and text of others made safe for a terminal."""
+
+from collections.abc import Callable, Iterable, Sequence
+
+
+def printable(text: str, most: int | None = None) -> str:
+    r"""The text on one line, with escapes (`\x1b`, `\n`) for what is no printable character.
+
+    Parameters
+    ----------
+    most
+        So many characters are kept; None: all.
+    """
+    shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+    return shown[:most]
+
+
+def counted(n: int, thing: str, things: str = "", told: Callable[[int], str] = str) -> str:
+    """So many things: "1 run", "2 runs"; `things` where it takes more than an s, `told` writes the number."""
+    return f"{told(n)} {thing if n == 1 else things or f'{thing}s'}"
+
+
+def first_few(words: Sequence[str], most: int) -> str:
+    """The first words, and how many more there are: "a, b and 3 more"."""
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more
+
+
+def quoted(names: Iterable[str]) -> list[str]:
+    """Names that others have given: "'a'"."""
+    return [f"'{name}'" for name in names]
+
+
+def join_numbers(values: Iterable[float]) -> str:
+    """Numbers, such as those of an axis: "0, 0, 1"."""
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def parse_numbers(text: str) -> list[float]:
+    """The numbers between commas that somebody has typed; none where there is anything else."""
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        return []

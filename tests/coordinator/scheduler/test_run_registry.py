@@ -1,0 +1,128 @@
+"""A run that is opened: what is recorded is replayed, and what its spec does not allow is refused."""
+
+from collections.abc import Callable
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+from tests.common import PATIENCE
+from tests.coordinator.scheduler.fakes import FakeRunQueue, assignment
+from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
+
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_registry import (
+    ActiveRun,
+    LoaderEvent,
+    NoRunLeft,
+    RunOpened,
+    RunRegistry,
+)
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_protocol.errors import ReplayError, RunFailed
+from qdgrasp_protocol.messages import Opened, OpenRun
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import Rows
+
+PLAN = Plan(population=10, evaluations=40)
+ROWS = np.frombuffer(reference(PLAN), SHAPE.dtype)
+
+
+class Recorded(MemorySink):
+    """A record that holds rows from before, in pages."""
+
+    def __init__(self, rows: Rows, page: int) -> None:
+        super().__init__(SHAPE)
+        self._before = rows
+        self._page = page
+
+    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
+        return Opened(epoch=1, durable=[len(self._before)], platform={})
+
+    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+        return JournalSlice(first, self._before[first : first + self._page])
+
+
+def opened(plan: Plan, rows: Rows, page: int) -> ActiveRun:
+    lane = ActiveRun(assignment("run", plan), Recorded(rows, page))
+    lane.open(0, lambda: None)
+    return lane
+
+
+@pytest.mark.parametrize("page", [1, 7, 1000])
+def test_a_run_goes_on_where_its_records_end(page: int) -> None:
+    assert opened(PLAN, ROWS[:23], page).tally.rows == 23
+    assert opened(PLAN, ROWS, page).is_done
+
+
+@pytest.mark.parametrize("page", [1, 10, 20, 40, 1000])
+def test_records_that_go_on_behind_the_end_of_the_run_are_refused_wherever_pages_end(page: int) -> None:
+    sooner = Plan(population=10, evaluations=20)
+    with pytest.raises(ReplayError, match=r"goes on after its row .* budget of 20 evaluations is spent"):
+        opened(sooner, ROWS, page)
+
+
+class Coming:
+    """Lanes whose news is heard when a test wants to."""
+
+    def __init__(self, *runs: str) -> None:
+        self._news: SimpleQueue[LoaderEvent] = SimpleQueue()
+        programme = FakeRunQueue({name: Plan(evaluations=40) for name in runs})
+        self.lanes = RunRegistry(programme, lambda run: MemorySink(run.shape), self._news.put, Stop())
+
+    def ask(self) -> LoaderEvent:
+        """Have another run opened; gives what comes of it, which the lanes have not heard."""
+        self.lanes.open_another(1, is_wanted=True)
+        return self._news.get(timeout=PATIENCE)
+
+    def open(self) -> ActiveRun:
+        """Open the next run."""
+        news = self.ask()
+        assert isinstance(news, RunOpened)
+        self.lanes.begin(news.lane)
+        return news.lane
+
+
+@pytest.mark.parametrize("others", [(), ("other",)])
+def test_a_run_that_is_put_back_while_none_was_left_is_opened_again(others: tuple[str, ...]) -> None:
+    coming = Coming("run", *others)
+    lane, *rest = (coming.open() for _ in ("run", *others))
+    assert coming.ask() == NoRunLeft()
+    coming.lanes.reopen(lane)  # before that is heard
+    coming.lanes.none_left()
+    for one in rest:
+        coming.lanes.end(one)
+    assert not coming.lanes.are_done
+    again = coming.open()
+    assert again.run == "run"
+    assert coming.ask() == NoRunLeft()
+    coming.lanes.none_left()
+    coming.lanes.end(again)
+    assert coming.lanes.are_done
+
+
+def test_what_remains_is_of_runs_that_are_not_over() -> None:
+    coming = Coming("run", "other", "third")
+
+    def remaining() -> int:
+        return coming.lanes.figures("job", 1, 0.0).remaining
+
+    assert remaining() == 3 * 40
+    lane, other = coming.open(), coming.open()
+    lane.tally.evaluations = 15
+    assert remaining() == 105
+    lane.tally.finished = "it found enough"
+    assert remaining() == 80
+    coming.lanes.end(lane)
+    assert remaining() == 80
+    coming.lanes.fail(RunFailed("third", "Its mesh is no mesh."))
+    assert remaining() == 40
+    coming.lanes.reopen(other)
+    assert remaining() == 40
+
+
+def test_a_run_that_is_put_back_is_opened_once() -> None:
+    coming = Coming("run", "other")
+    lane = coming.open()
+    coming.lanes.reopen(lane)
+    assert [coming.open().run for _ in range(2)] == ["run", "other"]
+    assert coming.ask() == NoRunLeft()

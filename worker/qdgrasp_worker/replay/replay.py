@@ -1,0 +1,195 @@
+"""Replays one evaluation: carries it out again as it was, records it, and draws it.
+
+Started as `python -m qdgrasp_worker.replay.replay FOLDER` (`qdgrasp_protocol.replay`). The episode is the
+one that evaluates, in a world that records what happens. No shortcut is taken: the hand closes to the end
+where an evaluation would know by then that it misses.
+"""
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_protocol import replay
+from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.replay import (
+    ANSWER,
+    FRAMES,
+    REQUEST,
+    SCENE,
+    ReplayAnswer,
+    ReplayCamera,
+    ReplayFrame,
+    ReplayRequest,
+)
+from qdgrasp_protocol.rows import GIVEN
+from qdgrasp_worker.decoder import Decoder
+from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.object_geometry import ObjectSurface
+from qdgrasp_worker.protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.replay.recorder import (
+    REST_SECONDS,
+    RecordingWorld,
+    TimedSnapshot,
+    animation,
+    still_snapshot,
+)
+from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, camera_around
+
+OVERSAMPLING = 2  # So many pixels are drawn for each that is shown, along each axis
+Frames = NDArray[np.uint8]
+"""(n, rows, columns, 3)."""
+MakeFrames = Callable[[int, int, int], Frames]
+"""Makes room for so many frames of so many rows and columns."""
+
+
+class EpisodeReplay:
+    """One evaluation, carried out again.
+
+    Raises
+    ------
+    AssetError
+        Bullet cannot load the scene.
+    """
+
+    def __init__(self, scene: Scene, request: ReplayRequest) -> None:
+        self._scene = scene
+        self._request = request
+        with RecordingWorld(scene) as world:
+            episode = Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
+            self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
+            self.moments = world.moments
+            self._joints = world.joints
+        self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
+
+    def takes(self) -> list[TimedSnapshot]:
+        """What is shown of it.
+
+        Raises
+        ------
+        InputError
+            The part that is asked for did not happen.
+        """
+        if self._request.what is None:
+            return [TimedSnapshot(still_snapshot(self.moments), REST_SECONDS)]
+        return animation(self.moments, self._request.what, self.verdict.outcome)
+
+    def draw(self, make: MakeFrames) -> ReplayAnswer:
+        """Draw what is asked for into frames that `make` makes room for.
+
+        Raises
+        ------
+        InputError
+            The part that is asked for did not happen.
+        """
+        request, takes = self._request, self.takes()
+        width, height = request.width, request.height
+        with Renderer(self._scene, parts=request.parts) as eye:
+            grasp = still_snapshot(self.moments)
+            view = request.view or best_view(eye, grasp)
+            lens = camera_around(eye, [take.moment for take in takes], grasp, view, width / height)
+            frames = make(len(takes), height, width)
+            for frame, take in zip(frames, takes, strict=True):
+                eye.show(take.moment)
+                frame[...] = downsample(eye.look(lens, OVERSAMPLING * width, OVERSAMPLING * height))
+        return self._answer(takes, lens.camera(width, height))
+
+    def hand(self, moment: Snapshot) -> replay.Pose:
+        """The pose of the hand's base link."""
+        root = np.eye(4)
+        root[:3, :3] = Rotation.from_quat(moment.root[1]).as_matrix()
+        root[:3, 3] = moment.root[0]
+        positions = dict(zip(self._joints, moment.joints, strict=True))
+        return pose_of_frame(self._robot.forward(positions, root)[self._scene.gripper.base_link])
+
+    def _answer(self, takes: list[TimedSnapshot], camera: ReplayCamera) -> ReplayAnswer:
+        found = self.verdict
+        return ReplayAnswer(
+            outcome=found.outcome,
+            fitness=found.fitness,
+            joints=tuple(found.joints),
+            contacts=found.contacts,
+            penetration=found.penetration,
+            camera=camera,
+            shots=tuple(self._shot(take) for take in takes),
+        )
+
+    def _shot(self, take: TimedSnapshot) -> ReplayFrame:
+        moment = take.moment
+        return ReplayFrame(
+            phase=moment.phase,
+            step=moment.step,
+            seconds=take.seconds,
+            hand=self.hand(moment),
+            object=make_pose(*moment.object),
+            touches=moment.touches,
+        )
+
+
+def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
+    """What is simulated."""
+    genome = np.array([request.genome], dtype=np.float32)
+    grasp = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)[0]
+    return PROTOCOLS[scene.protocol].trial(grasp, request.trial)
+
+
+def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The means of squares of `FINE` by `FINE` pixels."""
+    parts = [
+        image[row::OVERSAMPLING, column::OVERSAMPLING]
+        for row in range(OVERSAMPLING)
+        for column in range(OVERSAMPLING)
+    ]
+    total = np.asarray(np.sum(parts, axis=0, dtype=np.uint16))
+    means = (total + OVERSAMPLING * OVERSAMPLING // 2) // (OVERSAMPLING * OVERSAMPLING)
+    return means.astype(np.uint8)
+
+
+def pose_of_frame(frame: Floats) -> replay.Pose:
+    """A frame (4, 4) as a position and a quaternion."""
+    return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
+
+
+def make_pose(position: list[float], quaternion: list[float]) -> replay.Pose:
+    """A position [m] and a quaternion xyzw as one."""
+    (x, y, z), (qx, qy, qz, qw) = position, quaternion
+    return x, y, z, qx, qy, qz, qw
+
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@app.command()
+def replay_folder(folder: Path) -> None:
+    """Replay what the folder's request asks for, and write what was seen beside it."""
+
+    def make(frames: int, rows: int, columns: int) -> Frames:
+        return np.lib.format.open_memmap(
+            folder / FRAMES, mode="w+", dtype=np.uint8, shape=(frames, rows, columns, 3)
+        )
+
+    with lifetime("qdgrasp-replay") as stop:
+        stop.tell(lambda: os._exit(stop.exit_code))  # nothing is left behind but a folder that is thrown away
+        try:
+            request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=ReplayRequest)
+            answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).draw(make)
+            (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
+        except OSError as error:
+            raise InputError(
+                f"The frames do not fit into {folder.parent}: {error.strerror or error}."
+            ) from None
+
+
+if __name__ == "__main__":
+    run_command(app, "qdgrasp-replay")

@@ -1,0 +1,114 @@
+"""Interface of custom evaluators: hands in, verdicts out, as arrays, with nothing of a simulator."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import Scene
+from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.rows import Outcome
+
+
+@dataclass(frozen=True)
+class Hands:
+    """Hands that are to close on the object of a scene: n of them, each a row of every array."""
+
+    base_to_object: NDArray[np.float32]
+    """(n, 7): the hand's root link in the object's centre-of-mass frame, x y z [m], qx qy qz qw. In a trial
+    above 0 it is that of the disturbed object."""
+    joints: NDArray[np.float32]
+    """(n, j): finger joints that the hand starts from [rad or m], in the gripper's order."""
+    synergies: NDArray[np.int64]
+    """(n,): labels of the synergies that close; -1: all driven joints do."""
+    frictions: NDArray[np.float64]
+    """(n, 2): the object's rolling and spinning friction."""
+    trials: NDArray[np.uint16]
+    """(n,): 0 is the nominal evaluation, 1 and up are disturbed ones."""
+    surface_points: NDArray[np.float32]
+    """(n, 3) [m], same frame: what the palm looks at; zeros where the prior aims at none."""
+    prior: str
+    """What the genomes are decoded by."""
+    genomes: NDArray[np.float32]
+    """(n, d)."""
+
+    def __len__(self) -> int:
+        return len(self.base_to_object)
+
+    def __getitem__(self, places: slice | NDArray[np.intp]) -> "Hands":
+        return Hands(
+            self.base_to_object[places],
+            self.joints[places],
+            self.synergies[places],
+            self.frictions[places],
+            self.trials[places],
+            self.surface_points[places],
+            self.prior,
+            self.genomes[places],
+        )
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """What became of hands: n of them, in their order."""
+
+    outcomes: NDArray[np.integer]
+    """(n,): `Outcome.OVERLAP` to `Outcome.HELD`."""
+    fitness: NDArray[np.floating] | None = None
+    """(n,): shakes survived, 0 to 2; None: as the outcomes say."""
+    joints: NDArray[np.floating] | None = None
+    """(n, j): finger joints at the grasp [rad or m]; None: those that the hand started from."""
+    contacts: NDArray[np.integer] | None = None
+    """(n,): finger links that touch the object; None: not known, zeros are recorded."""
+    penetration: NDArray[np.floating] | None = None
+    """(n,): deepest penetration [m], 0 or positive; None: not known, zeros are recorded."""
+
+    def columns(self, hands: Hands) -> dict[str, NDArray[np.generic]]:
+        """The columns of a row that they fill, checked.
+
+        Raises
+        ------
+        BadVerdict
+            One has another shape, or holds what cannot be.
+        """
+        n, joints = len(hands), hands.joints.shape[1]
+        outcomes = _checked_array("outcomes", self.outcomes, (n,)).astype(np.int64)
+        if not ((outcomes >= Outcome.OVERLAP) & (outcomes <= Outcome.HELD)).all():
+            raise BadVerdict(f"outcomes must be {Outcome.OVERLAP:d} (OVERLAP) to {Outcome.HELD:d} (HELD)")
+        shakes = np.maximum(outcomes - Outcome.DROPPED, 0)
+        return {
+            "outcome": outcomes,
+            "fitness": _checked_array("fitness", shakes if self.fitness is None else self.fitness, (n,)),
+            "joints": _checked_array(
+                "joints", hands.joints if self.joints is None else self.joints, (n, joints), least=None
+            ),
+            "contacts": _checked_array("contacts", _or_zeros(self.contacts, n), (n,)),
+            "penetration": _checked_array("penetration", _or_zeros(self.penetration, n), (n,)),
+        }
+
+
+class BadVerdict(QdgraspError):
+    """What an evaluator gave is no verdict on what it was given."""
+
+
+EvaluatorFn: TypeAlias = Callable[[Hands], Verdicts]
+"""Says what becomes of hands; the same for the same ones, whatever it was asked before."""
+EvaluatorFactory: TypeAlias = Callable[[Scene], EvaluatorFn]
+"""Makes the judge of a scene: a class with `__init__(scene)` and `__call__(hands)`, or a function."""
+
+
+def _checked_array(
+    name: str, values: object, shape: tuple[int, ...], least: float | None = 0.0
+) -> NDArray[np.generic]:
+    array = np.asarray(values)
+    if array.shape != shape or array.dtype.kind not in "biuf":
+        raise BadVerdict(f"{name} must be numbers of shape {shape}, got {array.dtype} of {array.shape}")
+    if not np.isfinite(array).all() or (least is not None and (array < least).any()):
+        raise BadVerdict(f"{name} must be finite" + ("" if least is None else f" and at least {least:g}"))
+    return array
+
+
+def _or_zeros(values: NDArray[np.generic] | None, n: int) -> NDArray[np.generic]:
+    return np.zeros(n) if values is None else values

@@ -1,0 +1,173 @@
+"""Messages between a worker and its simulator, and the socket that carries them.
+
+Frozen structs in MessagePack, each behind its length, over a pair of sockets. Answers come in the order of
+the questions, so that neither carries a number.
+"""
+
+import socket
+import struct
+from contextlib import suppress
+from typing import TypeAlias
+
+import msgspec
+from msgspec import Struct
+
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Failure
+
+LENGTH_HEADER = struct.Struct("<I")
+MAX_FRAME_SIZE = 1 << 30  # The longest frame [bytes]; a length above it is not one of ours
+
+
+class FramedSocket:
+    """One end of the line.
+
+    Parameters
+    ----------
+    end
+        A connected stream socket.
+    """
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
+
+    def send(self, frame: bytes) -> None:
+        """Send a frame; waits while the other side is behind.
+
+        Raises
+        ------
+        OSError
+            Nobody is at the other end.
+        """
+        self._end.sendall(LENGTH_HEADER.pack(len(frame)))
+        self._end.sendall(frame)
+
+    def receive(self) -> bytes | None:
+        """The next frame; None where the line ended, or carries something else than frames."""
+        head = self._read(LENGTH_HEADER.size)
+        if head is None:
+            return None
+        (length,) = LENGTH_HEADER.unpack(head)
+        return self._read(length) if length <= MAX_FRAME_SIZE else None
+
+    def close(self) -> None:
+        """End the line, for both sides; closing twice is allowed."""
+        with suppress(OSError):
+            self._end.shutdown(socket.SHUT_RDWR)
+        self._end.close()
+
+    def _read(self, length: int) -> bytes | None:
+        buffer = bytearray(length)
+        view, have = memoryview(buffer), 0
+        while have < length:
+            try:
+                came = self._end.recv_into(view[have:])
+            except OSError:
+                return None
+            if not came:
+                return None
+            have += came
+        return bytes(buffer)
+
+
+class SimulatorMessage(Struct, frozen=True, kw_only=True, tag=True, forbid_unknown_fields=True):
+    """The root of all frames."""
+
+
+class SimulatorSettings(SimulatorMessage, frozen=True, kw_only=True):
+    """Worker to simulator, first of all: within which limits it works."""
+
+    row_seconds: float
+    """The CPU seconds that a row, or a slice of rows, may take."""
+    memory: int
+    """The memory that it may ask for [bytes]."""
+    nice: int
+    """How far it stands back behind other processes, 0 to 19."""
+
+
+class EvaluateRows(SimulatorMessage, frozen=True, kw_only=True):
+    """Worker to simulator: evaluate rows of a batch."""
+
+    scene: str
+    """The digest of the scene."""
+    bundle: bytes | None
+    """The scene, unless the simulator has it."""
+    prior: str
+    n: int
+    genes: int
+    columns: dict[str, bytes]
+    """`index`, `trial` and `genome`."""
+    is_careful: bool
+    """Whether each row is evaluated by itself, and told before the next begins."""
+
+
+class SimulatorReady(SimulatorMessage, frozen=True, kw_only=True):
+    """Simulator to worker: it has evaluated the probes."""
+
+    platform: dict[str, str]
+
+
+class SceneLoaded(SimulatorMessage, frozen=True, kw_only=True):
+    """Simulator to worker: the scene that came with the batch stands."""
+
+
+class PartialResult(SimulatorMessage, frozen=True, kw_only=True):
+    """Simulator to worker: the results of the next rows of the batch."""
+
+    n: int
+    joints: int = 0
+    descriptors: int = 0
+    columns: dict[str, bytes] = {}
+    """All of `rows.RESULT`; rows named in `failures` hold zeros."""
+    failures: list[Failure] = []
+    """By the place of the row in this part."""
+    cpu_seconds: float = 0.0
+
+
+class BatchRejected(SimulatorMessage, frozen=True, kw_only=True):
+    """Simulator to worker: no row of the batch can be evaluated, and why."""
+
+    reason: str
+
+
+class SceneMissing(SimulatorMessage, frozen=True, kw_only=True):
+    """Simulator to worker: it does not have the scene, or no longer; send the batch again, with it."""
+
+
+class SimulatorCrashed(SimulatorMessage, frozen=True, kw_only=True):
+    """Simulator to worker: it raised this, and ends."""
+
+    reason: str
+
+
+AnySimulatorMessage: TypeAlias = (
+    SimulatorSettings
+    | EvaluateRows
+    | SimulatorReady
+    | SceneLoaded
+    | PartialResult
+    | BatchRejected
+    | SceneMissing
+    | SimulatorCrashed
+)
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER: msgspec.msgpack.Decoder[AnySimulatorMessage] = msgspec.msgpack.Decoder(AnySimulatorMessage)
+
+
+def encode(frame: SimulatorMessage) -> bytes:
+    """A frame as bytes."""
+    return _ENCODER.encode(frame)
+
+
+def decode(data: bytes) -> AnySimulatorMessage:
+    """The frame in `data`.
+
+    Raises
+    ------
+    MessageError
+        There is none in it.
+    """
+    try:
+        return _DECODER.decode(data)
+    except msgspec.MsgspecError as error:
+        raise MessageError(f"not a frame: {str(error)!a}") from None

@@ -1,0 +1,138 @@
+"""Worker pool: several workers of one command, started again when they die, and stopped together."""
+
+import os
+import signal
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from time import monotonic
+
+import structlog
+import typer
+from setproctitle import setproctitle
+
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import GRACE, GRACE_MARGIN, ProcessExit, ProcessGroup, Stop
+
+log = structlog.get_logger()
+
+LOOK_INTERVAL = 0.2  # seconds between two looks at the workers
+STARTUP_SECONDS = 60.0  # seconds in which a worker that reaches its router begins to serve
+POOL_OPTIONS = ("workers", "pin")  # Options of the team, which its workers are not given
+
+
+class StartupCheck:
+    """Whether workers begin to serve at all, or what they were given is bad for each. Pure.
+
+    Parameters
+    ----------
+    size
+        How many there are.
+    until
+        When the first process of each has begun [s], of any steady clock.
+    """
+
+    def __init__(self, size: int, until: float) -> None:
+        self._size = size
+        self._until = until
+        self._seen: set[str] = set()
+        self._turned_away: set[str] = set()
+
+    def is_hopeless(self, death: ProcessExit, now: float) -> bool:
+        """Hear that a worker ended; gives whether bad input has now ended the first process of each."""
+        is_first = death.name not in self._seen
+        self._seen.add(death.name)
+        if is_first and now <= self._until and death.exit_code == InputError.exit_code:
+            self._turned_away.add(death.name)
+            return len(self._turned_away) == self._size
+        return False
+
+
+class WorkerPool:
+    """Workers that are looked after.
+
+    Parameters
+    ----------
+    size
+        How many.
+    arguments
+        What each is started with.
+    grace
+        Seconds that each may take to stop.
+    wait
+        Seconds that each waits for the router.
+    is_pinned
+        Each is kept on a core of its own, as far as there are so many.
+    """
+
+    def __init__(
+        self, size: int, arguments: list[str], *, grace: float, wait: float, is_pinned: bool
+    ) -> None:
+        self._size = size
+        self._arguments = arguments
+        self._grace = max(GRACE, grace + GRACE_MARGIN)
+        self._is_pinned = is_pinned
+        self._there: set[str] = set()
+        self._beginning = StartupCheck(size, monotonic() + wait + STARTUP_SECONDS)
+
+    def run(self, stop: Stop) -> None:
+        """Look after the workers until a signal comes, or all have left.
+
+        Raises
+        ------
+        Exit
+            The first process of each worker ended with a sentence that names bad input: so would any.
+        """
+        setproctitle("qdgrasp-workers")
+        woken: SimpleQueue[None] = SimpleQueue()
+        stop.tell(lambda: woken.put(None))
+        with ProcessGroup(None, self._grace) as crew:
+            self._hire(crew)
+            while self._there and not stop.is_set:
+                for death in crew.deaths():
+                    self._died(crew, death, monotonic())
+                crew.restart_due(monotonic())
+                with suppress(Empty):
+                    woken.get(timeout=LOOK_INTERVAL)
+            if stop.signal is not None:
+                self._dismiss(crew, stop, woken)
+
+    def _hire(self, crew: ProcessGroup) -> None:
+        cores = sorted(os.sched_getaffinity(0))
+        for number in range(self._size):
+            name, core = f"worker-{number}", cores[number % len(cores)] if self._is_pinned else None
+            crew.hire(name, "qdgrasp_worker.cli", self._arguments, core)
+            self._there.add(name)
+
+    def _died(self, crew: ProcessGroup, death: ProcessExit, now: float) -> None:
+        if self._beginning.is_hopeless(death, now):
+            raise typer.Exit(death.exit_code)
+        if death.exit_code == 0:
+            self._there.discard(death.name)
+            return
+        pause = crew.restart_later(death.name, now)
+        log.warning(f"{death.name} {death.words}; it is started again in {pause:.1f} s")
+
+    def _dismiss(self, crew: ProcessGroup, stop: Stop, woken: "SimpleQueue[None]") -> None:
+        """Ask the workers to stop by the first signal, then by SIGINT if that comes, and end the others."""
+        passed_on = stop.signal or signal.SIGTERM
+        crew.bid_leave(passed_on)
+        kill_at = monotonic() + self._grace
+        while (pids := crew.pids()) and monotonic() < kill_at:
+            if stop.latest == signal.SIGINT != passed_on:
+                passed_on = signal.SIGINT
+                for pid in pids.values():
+                    os.kill(pid, passed_on)
+            with suppress(Empty):
+                woken.get(timeout=LOOK_INTERVAL)
+        crew.dismiss(passed_on)
+
+
+def worker_arguments(context: typer.Context) -> list[str]:
+    """The options of a command as they were given, but for those that are the team's own."""
+    given: list[str] = []
+    for option in context.command.params:
+        value = context.params.get(option.name or "")
+        if option.name in POOL_OPTIONS or value is None or value is False:
+            continue
+        given += [option.opts[0]] if value is True else [option.opts[0], str(value)]
+    return given
