@@ -11,7 +11,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", "frames.npy"
-"""The files: the scene's bytes, a `ReplayRequest`, an `ReplayAnswer`, and the frames (n, height, width, 3), uint8."""
+"""The scene's bytes, a `ReplayRequest`, a `ReplayAnswer`, and frames (n, height, width, 3), uint8."""
 
 ReplayPart = Literal["all", "closing", "shakes"]
 Phase = Literal["placed", "closing", "shake z", "shake x"]
