@@ -169,22 +169,10 @@ def inspect_object(
 ) -> ObjectReport:
     """Inspect a mesh file before a run is made of it.
 
-    Parameters
-    ----------
-    name
-        Name of the object in the result.
-    scale
-        Metres to a unit of the file; None: 1.
-    mass
-        [kg]; None: unknown.
-    glued
-        Whether bodies that are apart are meant to be one rigid object.
-    parts
-        Whether its convex parts are found, which takes minutes where they are not kept already.
-    time_limit
-        Time limit for that [s].
-    tell
-        Called with its progress.
+    `name` is the object's in the result, `scale` metres to a unit of the file (None: 1), `mass` in kg (None:
+    unknown). With `glued`, bodies that are apart are meant to be one rigid object. With `parts` its convex
+    parts are found, which takes minutes where they are not kept already; `time_limit` [s] and `tell` are for
+    that.
     """
     mesh, volumes = draft.mesh, body_volumes(draft.mesh)
     hollows = 0 if draft.faults else int((volumes < 0).sum())

@@ -26,13 +26,9 @@ STEEPEST = 8.0  # Largest absolute weight of a feature
 def layout(scene: Scene, prior: str) -> Layout:
     """Return the genes of a prior with this scene: its own, then synergy and free joints.
 
-    The synergy gene maps to round(values) in 0 .. m - 1; poses that are scored as given hold its label
-    (-1: none) and the free joints' positions [rad] as they are.
-
-    Raises
-    ------
-    JawNeeded
-        The prior is for two-finger hands, and this hand does not have two fingers.
+    The synergy gene maps to round(values) in 0 .. m - 1; poses that are scored as given hold its label (-1:
+    none) and the free joints' positions [rad] as they are. Raises `JawNeeded` where a prior for two-finger
+    hands meets another hand.
     """
     gripper = scene.gripper
     synergy = (Gene("synergy", 0.0, len(gripper.synergies) - 1.0),) if gripper.synergies else ()

@@ -44,10 +44,7 @@ TAR_HEADER = 512  # bytes of a header
 def read_member(archive: Path, member: str) -> bytes:
     """Return the content of the file `member` of a `.tgz`.
 
-    Raises
-    ------
-    AssetError
-        There is no such file in it, it is no file or too large, or the archive is none or broken.
+    Raises `AssetError` if it is not in it, no file or too large, or the archive is none or broken.
     """
     try:
         with tarfile.open(archive, mode="r|gz") as tar:
@@ -104,25 +101,11 @@ NETWORK_ERRORS = (
 def download(
     url: str, file: Path, progress: Progress = lambda _here, _all: None, patience: float = SILENCE_LIMIT
 ) -> None:
-    """Download `url` into `file`, resuming an earlier partial download.
+    """Download `url`, http or https, into `file`, resuming an earlier partial download.
 
-    The bytes that came are kept in `file` with `.part` at its end until all of them are there.
-
-    Parameters
-    ----------
-    url
-        An http or https address.
-    progress
-        Is told how far it is.
-    patience
-        How long a server may send nothing [s].
-
-    Raises
-    ------
-    AssetError
-        There is no such file, the server cannot be reached, or it breaks off or stalls again and again.
-    OSError
-        The file cannot be written.
+    The bytes that came are kept in `file` with `.part` at its end until all of them are there. A server may
+    send nothing for `patience` [s]. Raises `AssetError` if there is no such file, the server cannot be
+    reached, or it breaks off or stalls again and again, and `OSError` if the file cannot be written.
     """
     if not url.startswith(("http://", "https://")):
         raise AssetError(f"Scans are fetched from an http or https address, got '{url}'.")
@@ -292,27 +275,11 @@ class FetchedScan:
 
 
 def fetch_scan(name: str, home: str, progress: Progress, patience: float = SILENCE_LIMIT) -> FetchedScan:
-    """Fetch one scan into the data folder; it is checked first, and written whole.
+    """Fetch one of `SCAN_NAMES` into the data folder; it is checked first, and written whole.
 
-    Parameters
-    ----------
-    name
-        One of `SCAN_NAMES`.
-    home
-        The address that the paths of the archives are below.
-    progress
-        Is told how far the download is.
-    patience
-        How long the server may send nothing [s].
-
-    Raises
-    ------
-    UnknownName
-        There is no such scan.
-    WrongScan
-        It was fetched and is not what it must be.
-    AssetError
-        It cannot be fetched or written.
+    `home` is the address that the paths of the archives are below; the server may send nothing for `patience`
+    [s]. Raises `UnknownName` if there is no such scan, `WrongScan` if it is not what it must be, and
+    `AssetError` if it cannot be fetched or written.
     """
     if name not in SCANS:
         raise UnknownName("scan", name, SCANS, "Other objects are built in or mesh files of your own.")

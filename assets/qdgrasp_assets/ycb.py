@@ -62,13 +62,7 @@ def fetched_mesh(name: str) -> Path:
 
 
 def read_fetched(name: str) -> Mesh:
-    """Read the mesh of a fetched scan, corrected by `correct_mesh`.
-
-    Raises
-    ------
-    AssetError
-        It cannot be read.
-    """
+    """Read the mesh of a fetched scan, corrected by `correct_mesh`."""
     return correct_mesh(read_mesh(fetched_mesh(name)), SCANS[name])
 
 
@@ -157,10 +151,7 @@ def users_lock() -> Path:
 def read_pin(archive: str) -> ArchivePin:
     """Return the pin of an archive: this package's, else that of the user's earlier fetch.
 
-    Raises
-    ------
-    AssetError
-        The user's lock file cannot be read.
+    Raises `AssetError` if the user's lock file cannot be read.
     """
     return next(
         (pins[archive] for pins in (_read_lock(BUILT_IN_LOCK), _read_lock(users_lock())) if archive in pins),
@@ -224,12 +215,8 @@ def scan_source(name: str) -> str:
 def read_scan(name: str, protocol: str) -> ObjectModel:
     """Read the scan `name` of `SCAN_NAMES`; its CoM is the inertial origin of the authors' URDF.
 
-    The mass is the YCB table's, in `released` the authors' (the banana weighs 1 kg there).
-
-    Raises
-    ------
-    AssetError
-        The scan is not there or broken, or `released` needs what a fetched one does not have.
+    The mass is the YCB table's, in `released` the authors' (the banana weighs 1 kg there). Raises
+    `AssetError` if the scan is not there or broken, or `released` needs what a fetched one does not have.
     """
     folder = _reference_folder(name)
     if folder is not None:
@@ -244,13 +231,7 @@ def read_scan(name: str, protocol: str) -> ObjectModel:
 
 
 def check_there(name: str) -> None:
-    """Check that the scan `name` of `SCAN_NAMES` is there.
-
-    Raises
-    ------
-    AssetError
-        It is not.
-    """
+    """Check that the scan `name` of `SCAN_NAMES` is there; `AssetError` if it is not."""
     if _reference_folder(name) is None and not fetched_mesh(name).is_file():
         raise AssetError(
             f"The object '{name}' is a scan of the reference data (objects/{name.removeprefix(PREFIX)}), "

@@ -35,10 +35,7 @@ class ObjFile:
 def read_obj(text: str) -> ObjFile:
     """Read an OBJ file; faces of more than three corners become fans of triangles.
 
-    Raises
-    ------
-    ValueError, IndexError
-        It is none.
+    Raises `ValueError` or `IndexError` for other text.
     """
     vertices: list[list[float]] = []
     groups: list[list[tuple[int, int, int]]] = [[]]
@@ -185,10 +182,7 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 def read_parts(path: Path) -> tuple[Mesh, ...]:
     """Read the convex parts in an OBJ file, one for each group, in the file's order.
 
-    Raises
-    ------
-    AssetError
-        It is not there or not such a file.
+    Raises `AssetError` if the file is not there or not of that kind.
     """
     try:
         return _parts(path.read_text(encoding="utf-8"))

@@ -25,10 +25,8 @@ ROUNDING = 1e-6  # Relative difference below which two scales are the same
 def scale_of(units: str | None, scale: float | None) -> float | None:
     """Return the scale of --units or --scale; None where neither is given.
 
-    Raises
-    ------
-    UnknownName, ImpossibleValue, InputError
-        There is no such unit, no mesh has that scale, or both are given.
+    Raises `UnknownName`, `ImpossibleValue` or `InputError` if there is no such unit, no mesh has that scale,
+    or both are given.
     """
     if scale is not None and not 0 < scale <= LARGEST_SCALE:
         expected = (
@@ -69,19 +67,8 @@ def scale_advice(largest: float) -> str:
 def check_stated(name: str, stated: float | None, scale: float | None) -> None:
     """Check that the unit a file states is the one it is read in.
 
-    Parameters
-    ----------
-    name
-        The file's.
-    stated
-        Metres to a unit, as the file says; None: it says nothing.
-    scale
-        What the user says; None: nothing, so that it would be read in metres.
-
-    Raises
-    ------
-    AssetError
-        The file says another unit than metres, and the user says nothing.
+    `stated` is metres to a unit as the file says, `scale` as the user says; None: not said. Raises
+    `AssetError` if the file says another unit than metres, and the user says nothing.
     """
     if stated is None or scale is not None or abs(stated - 1) < ROUNDING:
         return
@@ -129,10 +116,7 @@ def read_mesh(path: Path) -> Mesh:
 def read_mesh_file(path: Path) -> MeshFile:
     """Read a mesh file, without further checks.
 
-    Raises
-    ------
-    AssetError
-        It is not there, no mesh of a format that can be read here, or empty.
+    Raises `AssetError` if it is not there, no mesh of a format that can be read here, or empty.
     """
     check_file(path)
     scene = _loaded(path)
@@ -157,10 +141,8 @@ def read_mesh_file(path: Path) -> MeshFile:
 def check_file(path: Path) -> None:
     """Check that a file exists and is not empty.
 
-    Raises
-    ------
-    AssetError
-        It is a folder, a pipe or a device, not there, has no bytes, or too many.
+    Raises `AssetError` for a folder, a pipe or a device, and a file that is not there, has no bytes, or too
+    many.
     """
     if why := path_problem(path):
         raise AssetError(_of_folder(path) if why == A_FOLDER else _not_there(path, why))

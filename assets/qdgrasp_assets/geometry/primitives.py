@@ -72,14 +72,8 @@ def superellipse(
 ) -> Floats:
     """Return a superellipse (corners, 3) [m] around `centre`, in the plane of its half axes.
 
-    Parameters
-    ----------
-    centre, across, along
-        (3,) [m].
-    power
-        2 is an ellipse; the greater, the closer to a rectangle.
-    corners
-        Number of corners; a multiple of four touches all four ends of the half axes.
+    `centre`, `across` and `along` are (3,) [m]. The power 2 gives an ellipse; the greater, the closer to a
+    rectangle. A multiple of four `corners` touches all four ends of the half axes.
     """
     angles = np.arange(corners) * 2 * np.pi / corners
     c, s = np.cos(angles).round(12), np.sin(angles).round(12)

@@ -57,14 +57,9 @@ class GripperDraft:
 def draft_gripper(robot: Urdf, urdf: str, told: DraftOverrides) -> GripperDraft:
     """Draft the gripper file of the hand in `robot`, whose URDF it names as `urdf`.
 
-    Raises
-    ------
-    UnknownName
-        What is told names a link or joint that the hand does not have.
-    ImpossibleValue
-        A joint is told to be beyond its limits, or the approach axis is no direction.
-    AssetError
-        A mesh cannot be read, or no finger can be found and none is told.
+    Raises `UnknownName` if `told` names a link or joint that the hand does not have, `ImpossibleValue` for a
+    joint beyond its limits or an approach axis that is no direction, and `AssetError` if a mesh cannot be
+    read, or no finger can be found and none is told.
     """
     base, base_reason = _base(robot, told)
     body = read_hand_model(robot, base)

@@ -96,21 +96,10 @@ class MendedHand:
 
 
 def mend(robot: Urdf, base: str, folder: str, tell: Tell) -> MendedHand:
-    """Mend the hand from link `base` on.
+    """Mend the hand from link `base` on, of a URDF whose links and joints are one tree.
 
-    Parameters
-    ----------
-    robot
-        A URDF whose links and joints are one tree.
-    folder
-        What meshes lie in, relative to the URDF that will be written.
-    tell
-        Hears what takes long.
-
-    Raises
-    ------
-    AssetError
-        A mesh is missing or cannot be read, or CoACD failed.
+    Meshes will lie in `folder`, relative to the URDF that will be written. `tell` is called with a sentence
+    before each slow step. Raises `AssetError` if a mesh is missing or cannot be read, or CoACD failed.
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand.path, folder, tell)
@@ -183,10 +172,7 @@ class CentredHand:
 def centre_base(robot: Urdf, base: str) -> CentredHand | None:
     """Add a base link on the fingers' line before `base`; None where they close near its line.
 
-    Raises
-    ------
-    AssetError
-        A mesh is missing or cannot be read.
+    Raises `AssetError` if a mesh is missing or cannot be read.
     """
     body = read_hand_model(robot, base)
     closing = find_closing(body)
@@ -254,10 +240,7 @@ def mended_meshes(toml: Path) -> Path:
 def check_replaceable(robot: Urdf, toml: Path) -> None:
     """Check that a copy would replace nothing but an older copy that `robot` does not use.
 
-    Raises
-    ------
-    AssetError
-        Something else is there, or `robot` uses it.
+    Raises `AssetError` if something else is there, or `robot` uses it.
     """
     urdf, folder = mended_urdf(toml), mended_meshes(toml)
     if urdf.exists() and not _is_ours(urdf):
@@ -275,19 +258,9 @@ def mended_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: b
     """Write a mended copy of the hand from link `base` on, beside the gripper's file `toml`.
 
     It replaces an older copy at once. Where the with-block fails, what was there before is there again.
-
-    Parameters
-    ----------
-    tell
-        Hears what takes long.
-    may_centre
-        Whether another base link is put before `base` where the fingers close beside its line of approach.
-
-    Raises
-    ------
-    AssetError
-        A mesh is missing or cannot be read, CoACD failed, or the copy cannot be written; or something else
-        than an older copy is there.
+    `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
+    fingers close beside its line of approach. Raises `AssetError` if a mesh is missing or cannot be read,
+    CoACD failed, or the copy cannot be written; or something else than an older copy is there.
     """
     check_replaceable(robot, toml)
     urdf, names = mended_urdf(toml), (mended_urdf(toml).name, mended_meshes(toml).name)

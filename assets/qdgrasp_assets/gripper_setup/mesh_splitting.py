@@ -72,10 +72,7 @@ def read_shape(hand: Urdf, shape: ET.Element, element: ET.Element) -> Mesh:
 def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
     """Read the mesh that a `<mesh>` names, scaled; coincident vertices merged.
 
-    Raises
-    ------
-    AssetError
-        The mesh does not exist, or cannot be read.
+    Raises `AssetError` if it does not exist, or cannot be read.
     """
     import trimesh
 
@@ -110,16 +107,10 @@ Tell = Callable[[str], None]
 
 
 class MeshSplitter:
-    """Rewrites the collision meshes of a hand.
+    """Rewrites the collision meshes of the hand whose URDF is at `path`.
 
-    Parameters
-    ----------
-    path
-        The URDF that names them.
-    folder
-        Folder of the new meshes, relative to the URDF that will be written.
-    tell
-        Called with a sentence before each slow step.
+    The new meshes go to `folder`, relative to the URDF that will be written. `tell` is called with a sentence
+    before each slow step.
     """
 
     def __init__(self, path: Path, folder: str, tell: Tell) -> None:

@@ -36,10 +36,7 @@ class CollisionShape:
 def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:
     """Yield the collision shapes of a robot's links; `files` holds its meshes by name.
 
-    Raises
-    ------
-    AssetError
-        A mesh has no triangles.
+    Raises `AssetError` if a mesh has no triangles.
     """
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):

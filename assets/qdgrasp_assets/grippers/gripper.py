@@ -178,11 +178,8 @@ class Gripper:
     def check_hand(self) -> None:
         """Check that the simulator finds the hand's meshes, and takes its masses as they are meant.
 
-        Raises
-        ------
-        AssetError
-            A collision mesh is missing or no ordinary file; masses are made up, refused, or hold a link
-            still.
+        Raises `AssetError` if a collision mesh is missing or no ordinary file, or masses are made up,
+        refused, or hold a link still.
         """
         hand = self.robot.subtree(self.file.base_link)
         found = (*weight_faults(hand.element), *missing_meshes(hand))
@@ -192,10 +189,7 @@ class Gripper:
     def on_carrier(self, protocol: str) -> SceneGripper:
         """Return the hand as an evaluation protocol mounts it on its carrier.
 
-        Raises
-        ------
-        AssetError
-            A collision mesh is missing, empty or cannot be read.
+        Raises `AssetError` if a collision mesh is missing, empty or cannot be read.
         """
         file = self.file
         carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
@@ -250,20 +244,12 @@ class Gripper:
 def read_gripper(path: Path, name: str, source: str) -> Gripper:
     """Read a gripper's TOML and the URDF that it names.
 
-    Raises
-    ------
-    UnknownKey
-        The TOML has a key that no field has.
-    AssetError
-        A file is missing or cannot be read, a value is impossible, or the two do not fit each other.
+    Raises `UnknownKey` for a key that no field has, and `AssetError` if a file is missing or cannot be read,
+    a value is impossible, or the two do not fit each other.
     """
     file = read_gripper_file(path)
     urdf = urdf_path(path, file)
     robot = parse_robot(urdf, read_robot_element(urdf))
-    _check(path, file, robot)
-    return Gripper(name, source, file, robot)
-
-
-def _check(path: Path, file: GripperFile, robot: Urdf) -> None:
     for fault in gripper_faults(file, robot):
         raise AssetError(f"The gripper '{path}': {fault}.")
+    return Gripper(name, source, file, robot)

@@ -63,12 +63,8 @@ REQUIRED_KEYS = {
 def check_values(path: Path, values: dict[str, Any], tables: Tables) -> None:
     """Check the values of the TOML at `path`, the inner tables first.
 
-    Raises
-    ------
-    UnknownKey
-        A key that no field has.
-    AssetError
-        Fields are left out, or one is of another kind.
+    Raises `UnknownKey` for a key that no field has, and `AssetError` if fields are left out, or one is of
+    another kind.
     """
     for table, label, entry in (*_inner(values, tables), ("", "", values)):
         _check_table(path, table, label, entry, tables[table])
@@ -196,10 +192,7 @@ TABLES = {
 def urdf_path(path: Path, file: GripperFile) -> Path:
     """Return the path of the URDF that a gripper's file names.
 
-    Raises
-    ------
-    AssetError
-        It should be on the asset path, and is not there.
+    Raises `AssetError` if it should be on the asset path, and is not there.
     """
     found = file.find_urdf(path)
     if found is None:
@@ -213,10 +206,8 @@ def urdf_path(path: Path, file: GripperFile) -> Path:
 def read_gripper_file(path: Path) -> GripperFile:
     """Read a gripper's TOML alone.
 
-    Raises
-    ------
-    UnknownKey, AssetError
-        A key that no field has; it is not there, no TOML, or a field is left out or of another kind.
+    Raises `UnknownKey` for a key that no field has, and `AssetError` if the file is not there, no TOML, or a
+    field is left out or of another kind.
     """
     if why := path_problem(path):
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")

@@ -220,13 +220,7 @@ class HandModel:
 
 
 def read_hand_model(robot: Urdf, base: str) -> HandModel:
-    """Read the body of the hand that begins with link `base`.
-
-    Raises
-    ------
-    AssetError
-        A mesh is missing, or cannot be read.
-    """
+    """Read the hand that begins with link `base`; errors as of `collision_corners`."""
     hand = robot.subtree(base)
     parts: dict[str, tuple[ConvexSolid, ...]] = {}
     for link, collision in collision_elements(hand):
@@ -246,10 +240,7 @@ def collision_elements(robot: Urdf) -> Iterator[tuple[str, ET.Element]]:
 def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Floats, ...]:
     """Return the corners (v, 3) of a collision shape's convex parts [m], link frame.
 
-    Raises
-    ------
-    AssetError
-        Its mesh is missing, cannot be read, or is empty; or its form is none of URDF's.
+    Raises `AssetError` if its mesh is missing, cannot be read, or is empty; or its form is none of URDF's.
     """
     alone = ET.Element("robot")
     ET.SubElement(alone, "link", name=link).append(collision)
@@ -270,10 +261,7 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
 def mesh_bytes(path: Path, name: str) -> bytes:
     """Return the content of the mesh that the URDF at `path` refers to as `name`.
 
-    Raises
-    ------
-    AssetError
-        It does not exist, or cannot be read.
+    Raises `AssetError` if it does not exist, or cannot be read.
     """
     element = ET.Element("robot")
     link = ET.SubElement(element, "link", name="")

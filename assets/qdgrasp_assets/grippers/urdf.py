@@ -133,11 +133,7 @@ class Urdf:
         """Return the robot for physics, and the mesh files that it needs by flat name.
 
         Visual shapes are left out and mesh references rewritten to the flat names; all else is as it was.
-
-        Raises
-        ------
-        AssetError
-            A mesh, of a visual shape too, is missing.
+        Raises `AssetError` if a mesh, of a visual shape too, is missing.
         """
         element = copy.deepcopy(self.element)
         files = {name: self._mesh_file(name) for name in _mesh_names(element)}
@@ -160,10 +156,7 @@ class Urdf:
 def read_urdf(path: Path) -> Urdf:
     """Read a robot from a URDF file.
 
-    Raises
-    ------
-    AssetError
-        It is not there, is not XML, or is not one tree of links and joints.
+    Raises `AssetError` if it is not there, is not XML, or is not one tree of links and joints.
     """
     try:
         element = ET.fromstring(path.read_text(encoding="utf-8"))  # noqa: S314  # the user's own file
@@ -244,13 +237,7 @@ def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[flo
 
 
 def parse_origin(path: Path, element: ET.Element | None) -> Floats:
-    """Return the frame (4, 4) of an `<origin>`.
-
-    Raises
-    ------
-    AssetError
-        It does not hold three numbers each.
-    """
+    """Return the frame (4, 4) of an `<origin>`; `AssetError` if it does not hold three numbers each."""
     if element is None:
         return np.eye(4)
     place = np.array(_numbers(path, element, "xyz", 3)) if element.get("xyz") else np.zeros(3)
@@ -325,10 +312,8 @@ OTHER_FORMATS = {
 def read_robot_element(path: Path) -> ET.Element:
     """Read the `<robot>` element of a URDF.
 
-    Raises
-    ------
-    AssetError
-        It is not there, is a xacro file, is not XML, or describes something else than a robot.
+    Raises `AssetError` if it is not there, is a xacro file, is not XML, or describes something else than a
+    robot.
     """
     text = _urdf_text(path)
     try:
