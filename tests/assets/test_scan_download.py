@@ -20,7 +20,6 @@ from qdgrasp_assets.ycb import (
     ArchivePin,
     correct_mesh,
     drop_folded,
-    fetched_folder,
     fetched_mesh,
     read_pin,
     scan_differences,
@@ -103,7 +102,7 @@ def test_a_scan_without_a_known_hash_is_accepted_on_its_geometry_and_the_user_is
     assert "no hash of its archive was known" in done.sentence
     assert found in done.sentence
     assert str(ycb.users_lock()) in done.sentence
-    assert "CC BY 4.0" in (fetched_folder(NAME) / "ATTRIBUTION.txt").read_text()
+    assert "CC BY 4.0" in fetched_mesh(NAME).with_name("ATTRIBUTION.txt").read_text()
     assert list(archived().iterdir()) == []
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import stl_triangles
-from qdgrasp_assets.grippers.collision_shapes import TRIANGLE_FORMS
+from qdgrasp_assets.grippers.collision_shapes import FORMS
 from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements, mesh_bytes
 from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_protocol.errors import AssetError
@@ -381,10 +381,10 @@ def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
     form = geometry[0] if geometry is not None and len(geometry) else None
     if form is None:
         return f"a <collision> of the link '{link}' has no shape in its <geometry>; add one, or leave it out"
-    if form.tag not in TRIANGLE_FORMS:
+    if form.tag not in FORMS:
         return (
             f"the link '{link}' has a collision shape <{form.tag}>, and URDF knows "
-            f"{', '.join(TRIANGLE_FORMS)}: "
+            f"{', '.join(FORMS)}: "
             "make it one of those"
         )
     if form.tag == "mesh":
