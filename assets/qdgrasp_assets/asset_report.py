@@ -303,7 +303,7 @@ def examine(path: Path, name: str) -> GripperReport:
 
 
 def examine_urdf(
-    urdf: Path, name: str, told: DraftOverrides = NO_OVERRIDES
+    urdf: Path, name: str, overrides: DraftOverrides = NO_OVERRIDES
 ) -> tuple[GripperReport, Gripper | None]:
     """Examine a URDF with the gripper file guessed for it, and return the gripper too.
 
@@ -312,10 +312,10 @@ def examine_urdf(
     try:
         robot, faults = read_robot(urdf, read_robot_element(urdf))
         if robot is not None:
-            base = told.base_link or guess_base(robot)[0]
+            base = overrides.base_link or guess_base(robot)[0]
             faults = hand_faults(robot, base)
             if not faults:
-                file = draft_gripper(robot, str(urdf), replace(told, base_link=base)).file
+                file = draft_gripper(robot, str(urdf), replace(overrides, base_link=base)).file
                 return examine_hand(robot, file, name), Gripper(name, urdf.name, file, robot)
     except QdgraspError as error:
         faults = (_one_line(error),)

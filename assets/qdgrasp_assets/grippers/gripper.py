@@ -58,12 +58,8 @@ SIX_AXES = (
 TWO_AXES = (TRANSLATION_Z, ROTATION_X)
 
 
-@dataclass(frozen=True)
-class CarriedHand:
-    """A hand on its carrier: the URDF's tree and the joints that the worker commands."""
-
-    urdf: Urdf
-    joints: tuple[CarrierJoint, ...]
+CarriedHand = tuple[Urdf, tuple[CarrierJoint, ...]]
+"""A hand on its carrier: the URDF's tree and the joints that the worker commands."""
 
 
 def released_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
@@ -75,7 +71,7 @@ def released_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
     """
     own = all(robot.joint(axis.name) for axis in SIX_AXES)
     urdf = robot if own else _compose(robot.subtree(base), base, SIX_AXES, 1.0)
-    return CarriedHand(urdf, tuple(_carrier_command(axis, hold_force, 1.0) for axis in SIX_AXES))
+    return urdf, tuple(_carrier_command(axis, hold_force, 1.0) for axis in SIX_AXES)
 
 
 def paper_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
@@ -90,12 +86,10 @@ def paper_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
         "x": inertia_about_x(hand) / PANDA_INERTIA,
     }
     urdf = _compose(hand, base, TWO_AXES, CARRIED_MASS)
-    return CarriedHand(
-        urdf,
-        tuple(
-            _carrier_command(axis, HOLD_FORCE * scales[axis.shake], scales[axis.shake]) for axis in TWO_AXES
-        ),
+    commands = (
+        _carrier_command(axis, HOLD_FORCE * scales[axis.shake], scales[axis.shake]) for axis in TWO_AXES
     )
+    return urdf, tuple(commands)
 
 
 def inertia_about_x(hand: Urdf) -> float:
@@ -192,8 +186,8 @@ class Gripper:
         Raises `AssetError` if a collision mesh is missing, empty or cannot be read.
         """
         file = self.file
-        carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
-        element, meshes = without_visuals(carried.urdf).bundled()
+        urdf, carrier = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
+        element, meshes = without_visuals(urdf).bundled()
         return SceneGripper(
             name=self.name,
             source=self.source,
@@ -201,7 +195,7 @@ class Gripper:
             urdf=ET.tostring(element, encoding="unicode"),
             meshes=meshes,
             base_link=file.base_link,
-            carrier=carried.joints,
+            carrier=carrier,
             joints=tuple(self._joint(name, table) for name, table in file.joints.items()),
             finger_links=file.finger_links,
             synergies=tuple(Synergy(name=each.name, joints=each.joints) for each in file.synergies),
@@ -211,7 +205,7 @@ class Gripper:
             approach_axis=unit_vector(file.approach_axis),
             palm_offset=file.palm_offset,
             standoff=file.standoff,
-            jaw=file.jaw.packed if file.jaw else None,
+            jaw=file.jaw.to_scene() if file.jaw else None,
             extent=self._extent(element, meshes),
         )
 
@@ -229,14 +223,14 @@ class Gripper:
             ) from None
 
     def _joint(self, name: str, table: JointTable) -> Joint:
-        told = self.robot.joint(name)
-        assert told is not None  # noqa: S101  # `read_gripper` has checked it
+        joint = self.robot.joint(name)
+        assert joint is not None  # noqa: S101  # `read_gripper` has checked it
         return Joint(
             name=name,
             opened=table.open,
             closed=table.open if table.closed is None else table.closed,
-            effort=told.effort if table.effort is None else table.effort,
-            velocity=told.velocity if table.velocity is None else table.velocity,
+            effort=joint.effort if table.effort is None else table.effort,
+            velocity=joint.velocity if table.velocity is None else table.velocity,
             driven=table.driven,
         )
 

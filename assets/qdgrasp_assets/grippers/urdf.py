@@ -99,12 +99,12 @@ class Urdf:
         stand at zero.
         """
         frames = {self.root: np.eye(4) if base is None else base}
-        for joint in self.outward(self.root):
+        for joint in self.joints_beyond(self.root):
             motion = joint.motion(positions.get(joint.name, 0.0))
             frames[joint.child] = frames[joint.parent] @ joint.origin @ motion
         return frames
 
-    def outward(self, base: str) -> Iterator[UrdfJoint]:
+    def joints_beyond(self, base: str) -> Iterator[UrdfJoint]:
         """Yield the joints beyond link `base`, each after the one that carries it."""
         reached = [base]
         for link in reached:
@@ -115,8 +115,8 @@ class Urdf:
 
     def subtree(self, base: str) -> "Urdf":
         """Return the robot from link `base` outward, alone."""
-        joints = {joint.name for joint in self.outward(base)}
-        links = {base, *(joint.child for joint in self.outward(base))}
+        joints = {joint.name for joint in self.joints_beyond(base)}
+        links = {base, *(joint.child for joint in self.joints_beyond(base))}
         element = copy.deepcopy(self.element)
         for kind, kept in (("link", links), ("joint", joints)):
             for child in element.findall(kind):
