@@ -33,7 +33,7 @@ class AssetSummary:
 
 
 def check(name: str) -> AssetSummary:
-    """Check a gripper or object of the catalog, or a mesh or gripper file; `UnknownName` if neither."""
+    """Check a gripper or object by name or file; `UnknownName` if it is neither."""
     try:
         return _check(name)
     except UnknownName:

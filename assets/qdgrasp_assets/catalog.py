@@ -60,7 +60,7 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def find_gripper(name: str) -> Gripper:
-    """Return the gripper of the catalog with this name, or of this TOML file; errors of `build_scene`.
+    """Return the gripper of this name or TOML file; errors as of `build_scene`.
 
     Reference hands keep the masses that their authors left to the simulator.
     """

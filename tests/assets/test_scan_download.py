@@ -53,7 +53,7 @@ def tgz(content: bytes, member: str = MEMBER, *others: tarfile.TarInfo) -> bytes
 
 
 def of(mesh: trimesh.Trimesh) -> dict:
-    """What the catalog says of a mesh."""
+    """Entry of the catalog for a mesh."""
     return {
         "extents": tuple(mesh.extents),
         "low": tuple(mesh.bounds[0]),
@@ -80,7 +80,7 @@ def bring(site, name: str = NAME) -> scan_download.FetchedScan:
 
 
 def is_clean() -> bool:
-    """Whether nothing of a refused scan is left, in the data folder or in the lock."""
+    """True if a refused scan left nothing in the data folder or in the lock."""
     return (
         ycb.scan_source(NAME) == "absent"
         and read_pin(ARCHIVE) == ArchivePin()

@@ -72,7 +72,10 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Floats, NDArray[np.in
 
 
 def nearest_triangle(points: Floats, triangles: Floats) -> NDArray[np.int64]:
-    """Return the index (n,) of the triangle (t, 3, 3) nearest to each point (n, 3); the first of equals."""
+    """Return the triangle nearest to each point, exactly; the first of equals.
+
+    `points` (n, 3), `triangles` (t, 3, 3); the result (n,) are indices of triangles.
+    """
     rows = max(1, CHUNK // len(triangles))
     blocks = [points[start : start + rows] for start in range(0, len(points), rows)]
     return np.concatenate([_squared_distances(block, triangles).argmin(axis=1) for block in blocks])

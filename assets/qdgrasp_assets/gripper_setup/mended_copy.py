@@ -54,7 +54,10 @@ def weigh(hand: Urdf, splitter: MeshSplitter) -> Iterator[str]:
 
 
 def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
-    """Return mass [kg] and `<inertial>` of convex parts (v, 3) [m], with the inertia of a box around them."""
+    """Return mass [kg] and `<inertial>` of convex parts (v, 3) [m].
+
+    The inertia is that of a box around them.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     volume = 0.0
@@ -77,11 +80,11 @@ def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
 def mend(
     robot: Urdf, base: str, folder: str, tell: Tell
 ) -> tuple[ET.Element, dict[str, bytes], tuple[str, ...]]:
-    """Return the mended `<robot>` from link `base` on, its meshes by path, and the changes in words.
+    """Mend the hand from link `base` on, of a URDF whose links and joints are one tree.
 
-    The links and joints of `robot` are one tree. Meshes will lie in `folder`, relative to the URDF that will
-    be written. `tell` is called with a sentence before each slow step. Raises `AssetError` if a mesh is
-    missing or cannot be read, or CoACD failed.
+    Returns the mended `<robot>`, its meshes by path, and the changes in words. Meshes will lie in `folder`,
+    relative to the URDF that will be written. `tell` is called with a sentence before each slow step. Raises
+    `AssetError` if a mesh is missing or cannot be read, or CoACD failed.
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand.path, folder, tell)

@@ -211,7 +211,10 @@ def read_gripper_file(path: Path) -> GripperFile:
 
 
 def _non_finite(value: Any, name: str = "") -> Iterator[str]:
-    """Yield a sentence for each number in `value` that is not finite; those of a list have its name."""
+    """Yield a sentence for each number in `value` that is not finite.
+
+    Those of a table have its key before theirs, those of a list the list's name.
+    """
     match value:
         case float() if not math.isfinite(value):
             yield f"{name} must be a finite number, got {value:g}"

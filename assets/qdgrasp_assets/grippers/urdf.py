@@ -222,7 +222,10 @@ def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[flo
 
 
 def parse_origin(path: Path, element: ET.Element | None) -> Floats:
-    """Return the frame (4, 4) of an `<origin>`; `AssetError` if it does not hold three numbers each."""
+    """Return the frame (4, 4) of an `<origin>`.
+
+    Raises `AssetError` if it does not hold three numbers each.
+    """
     if element is None:
         return np.eye(4)
     place = np.array(_numbers(path, element, "xyz", 3)) if element.get("xyz") else np.zeros(3)
