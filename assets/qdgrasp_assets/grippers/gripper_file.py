@@ -1,7 +1,7 @@
 """A gripper's TOML file: strict reading, and validation against its URDF.
 
-All in which the file does not fit its URDF, or is impossible, is told at once. TOML knows nan and inf, and
-no hand has them.
+All mismatches with the URDF and impossible values are listed at once. TOML knows nan and inf, and no hand has
+them.
 """
 
 import math
@@ -232,7 +232,7 @@ RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a r
 def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
     """Yield all faults of a gripper's file: impossible values, and mismatches with its URDF.
 
-    Names exist, every joint that moves is told of, numbers are possible.
+    Names must exist, the file must name every joint that moves, and numbers must be possible.
     """
     if numbers := tuple(_non_finite(msgspec.to_builtins(file))):
         yield from numbers
@@ -287,11 +287,11 @@ def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
     for label, position in (("open", table.open), ("closed", table.closed)):
         if position is not None:
             yield from _limit_faults(joint, f"joints.{joint.name}.{label}", position)
-    for label, told, value in (
+    for label, stated, value in (
         ("effort", table.effort, joint.effort),
         ("velocity", table.velocity, joint.velocity),
     ):
-        if table.driven and (value if told is None else told) <= 0:
+        if table.driven and (value if stated is None else stated) <= 0:
             yield (
                 f"the {label} of the joint '{joint.name}' must be greater than 0; the URDF has {value:g}, "
                 f"so give {label} in [joints.{joint.name}]"

@@ -1,6 +1,6 @@
 """Checks of a hand's URDF: what the simulator would not take, in words.
 
-Tree, joints, masses and meshes are checked; all that is wrong is told at once.
+Tree, joints, masses and meshes are checked, and all faults listed at once.
 """
 
 import xml.etree.ElementTree as ET
@@ -210,19 +210,19 @@ def unweighed(element: ET.Element) -> frozenset[str]:
 def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     """Yield links by the fault in their masses."""
     inertials, masses = _inertials(element), _masses(element)
-    told = {name: inertial for name, inertial in inertials.items() if inertial is not None}
+    stated = {name: inertial for name, inertial in inertials.items() if inertial is not None}
     yield (
         [name for name, inertial in inertials.items() if inertial is None],
         "without <inertial>, for which the simulator would take 1 kg: give a mass and an "
         f"inertia, {MEND_ADVICE}",
     )
     yield (
-        [name for name, inertial in told.items() if _is_incomplete(inertial)],
+        [name for name, inertial in stated.items() if _is_incomplete(inertial)],
         "with an <inertial> that lacks <mass> or <inertia>, which the simulator refuses: "
         f"give both, {MEND_ADVICE}",
     )
     yield (
-        [name for name, inertial in told.items() if not _is_incomplete(inertial) and masses[name] is None],
+        [name for name, inertial in stated.items() if not _is_incomplete(inertial) and masses[name] is None],
         f"of a mass that is no number: give it in kg, {MEND_ADVICE}",
     )
     yield (
@@ -300,9 +300,9 @@ def _kind_faults(hand: Urdf) -> Iterator[str]:
         kinds.setdefault(_suffix(name), []).append(name)
     for kind in sorted(kinds.keys() - SIMULATOR_FORMATS):
         them, is_one = first_few(quoted(kinds[kind]), MOST_MESHES_NAMED), len(kinds[kind]) == 1
-        told = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
+        which = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
         yield (
-            f"{told} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
+            f"{which} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
             f"{', '.join(SIMULATOR_FORMATS)}: save {'it as one' if is_one else 'them as such'}, or use --mend"
         )
 
@@ -374,7 +374,7 @@ def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
 def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
     mesh = f"the mesh '{name}' of the link '{link}'"
     if _suffix(name) not in SIMULATOR_FORMATS:
-        return ""  # told of all such meshes at once
+        return ""  # `_kind_faults` lists all such meshes at once
     if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand.path, name)) is None:
         return f"{mesh} is no binary STL file, which alone the simulator reads: save it as one, or use --mend"
     try:
