@@ -129,9 +129,9 @@ def read_object(path: Path, mass: float | None, scale: float | None = None) -> O
     no mass.
     """
     mesh = read_solid(path, scale)
-    if room := body_gap(mesh):
+    if gap := body_gap(mesh):
         log.warning(
-            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, room
+            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, gap
         )
     if mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")

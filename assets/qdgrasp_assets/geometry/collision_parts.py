@@ -1,9 +1,10 @@
 """Convex collision parts of a mesh: as few as leave a finger its clearance.
 
-One hull where that will do, else what CoACD finds, coarse to fine (docs/decisions/parts-leave-room.md).
-What parts fill beyond the mesh, no finger can reach: the hollow of a mug and the eye of its handle are what
-most of its grasps need. CoACD runs in a process of its own, which can be given up; run as a module (`python
--m qdgrasp_assets.geometry.collision_parts IN.npz THRESHOLD OUT.obj`) this is that process.
+One hull where that will do, else what CoACD finds, coarse to fine
+(docs/decisions/0008-collision-decomposition.md). What parts fill beyond the mesh, no finger can reach: the
+hollow of a mug and the eye of its handle are what most of its grasps need. CoACD runs in a process of its
+own, which can be given up; run as a module (`python -m qdgrasp_assets.geometry.collision_parts IN.npz
+THRESHOLD OUT.obj`) this is that process.
 
 Parts are cached on disk: an OBJ file that ends with the digest of what stands before, or counts as none.
 The last line is a remark, which readers of OBJ files leave aside.

@@ -297,11 +297,11 @@ MANY_BODIES = 2000  # More bodies than this are noise of a scan, and are compare
 
 def gap_note(mesh: Mesh) -> str:
     """Return the fault sentence for bodies that are apart; empty if they all meet."""
-    room = body_gap(mesh)
-    if not room:
+    gap = body_gap(mesh)
+    if not gap:
         return ""
     return (
-        f"it is of bodies with about {room:.2g} m of air between them, and an object is one rigid thing: "
+        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing: "
         "give each a file of its own, or say with --glued that they are moved as one"
     )
 
@@ -364,8 +364,8 @@ class MeshBodies:
         """Return the triangles of a body that are near enough to another one's box to meet it."""
         low, high = self._boxes
         part = self.parts[body]
-        room = _box_distance(part.min(axis=1), part.max(axis=1), low[other], high[other])
-        near: Floats = part[np.linalg.norm(room, axis=1) <= MEETING]
+        gaps = _box_distance(part.min(axis=1), part.max(axis=1), low[other], high[other])
+        near: Floats = part[np.linalg.norm(gaps, axis=1) <= MEETING]
         return near
 
     @cached_property
@@ -396,5 +396,5 @@ class MeshBodies:
 
 def _box_distance(low: Floats, high: Floats, lowest: Floats, highest: Floats) -> Floats:
     """Return the gaps (n, 3) [m] between boxes and another box along each axis; 0: overlap."""
-    room: Floats = np.maximum(low - highest, lowest - high).clip(min=0.0)
-    return room
+    gaps: Floats = np.maximum(low - highest, lowest - high).clip(min=0.0)
+    return gaps

@@ -183,10 +183,10 @@ def _free(
 
 def _jaw(closing: ClosingMotion, axis: Floats) -> tuple[JawTable | None, str]:
     across = grasp_inference.jaw_axis(closing, axis)
-    room = 0.0 if across is None else grasp_inference.jaw_opening(closing, axis, across)
-    if across is None or room <= 0:
+    opening = 0.0 if across is None else grasp_inference.jaw_opening(closing, axis, across)
+    if across is None or opening <= 0:
         return None, ""
-    table = JawTable(axis=_rounded(across), opening=round(room, 4))
+    table = JawTable(axis=_rounded(across), opening=round(opening, 4))
     return table, "two fingers that move toward each other, and the room between them when open"
 
 

@@ -201,27 +201,27 @@ def _approach_notes(hand: HandPostures) -> Iterator[str]:
     if grasp_inference.palm_links(hand.body) and is_met and abs(surface - file.palm_offset) > PALM_OFF:
         yield f"palm_offset is {file.palm_offset:g} m, and the palm's shapes end at {surface:.4g} m"
     if closing.fingers:
-        room = grasp_inference.finger_reach(closing, hand.axis) - file.palm_offset
-        if file.standoff[1] > room + STANDOFF_OFF:
-            reach = f"the fingers reach {room:.4g} m beyond the palm"
+        far = grasp_inference.finger_reach(closing, hand.axis) - file.palm_offset
+        if file.standoff[1] > far + STANDOFF_OFF:
+            reach = f"the fingers reach {far:.4g} m beyond the palm"
             yield f"standoff goes to {file.standoff[1]:g} m, and {reach}"
 
 
 def _jaw_notes(hand: HandPostures) -> Iterator[str]:
     across = grasp_inference.jaw_axis(hand.closing, hand.axis) if hand.closing.fingers else None
     jaw = hand.file.jaw
-    if across is None or (room := grasp_inference.jaw_opening(hand.closing, hand.axis, across)) <= 0:
+    if across is None or (gap := grasp_inference.jaw_opening(hand.closing, hand.axis, across)) <= 0:
         return
     axis = join_numbers(across)
     if jaw is None:
         yield (
-            f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {room:.4g} "
+            f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {gap:.4g} "
             "it could use antipodal methods"
         )
     elif abs(across @ jaw.to_scene().axis) < np.cos(AXIS_OFF):
         yield f"jaw.axis is [{join_numbers(jaw.axis)}], and the fingers oppose each other along [{axis}]"
-    elif abs(room - jaw.opening) > JAW_OFF:
-        yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {room:.4g} m"
+    elif abs(gap - jaw.opening) > JAW_OFF:
+        yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {gap:.4g} m"
 
 
 def _closing_notes(hand: HandPostures) -> Iterator[str]:

@@ -132,31 +132,21 @@ def _compose(hand: Urdf, base: str, axes: tuple[CarrierAxis, ...], link_mass: fl
             f"The URDF '{hand.path}' uses the name '{min(clash)}', which the carrier needs; rename it."
         )
     robot = ET.Element("robot", name=hand.element.get("name", "hand"))
-    for link in links:
-        robot.append(_carrier_link(link, link_mass))
+    for name in links:
+        inertial = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
+        ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=f"{link_mass:g}")
+        ET.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+    velocity = f"{MAX_VELOCITY:g}"
     for axis, parent, child in zip(axes, links, [*links[1:], base], strict=True):
-        robot.append(_carrier_joint(axis, parent, child))
+        joint = ET.SubElement(robot, "joint", name=axis.name, type=axis.kind)
+        ET.SubElement(joint, "parent", link=parent)
+        ET.SubElement(joint, "child", link=child)
+        ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
+        ET.SubElement(joint, "axis", xyz=axis.axis)
+        ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=velocity)
     robot.extend(hand.element)
     return parse_robot(hand.path, robot)
-
-
-def _carrier_link(name: str, mass: float) -> ET.Element:
-    link = ET.Element("link", name=name)
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=f"{mass:g}")
-    ET.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
-    return link
-
-
-def _carrier_joint(axis: CarrierAxis, parent: str, child: str) -> ET.Element:
-    joint = ET.Element("joint", name=axis.name, type=axis.kind)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
-    ET.SubElement(joint, "axis", xyz=axis.axis)
-    ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=f"{MAX_VELOCITY:g}")
-    return joint
 
 
 @dataclass(frozen=True)

@@ -152,28 +152,26 @@ def _joint_faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]
 
 
 def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
-    """Return faults of joints whose limits Bullet ignores, or that leave no range."""
-    limits = {name: _limits(joint) for name, joint in joints.items() if joint.get("type") in LIMITED}
-    turned = [name for name, (lower, upper) in limits.items() if lower > upper]
+    """Yield faults of joints whose limits Bullet ignores, or that leave no range."""
+    turned, still = [], []
+    for name, joint in joints.items():
+        limit = joint.find("limit")
+        if joint.get("type") not in LIMITED or limit is None:
+            continue
+        found = _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}")
+        if len(found) == PAIR and found[0] > found[1]:
+            turned.append(name)
+        elif len(found) == PAIR and found[0] == found[1]:
+            still.append(name)
     if turned:
         yield (
             f"{listed('joint', turned)} limited the wrong way round, lower above upper, which the simulator "
             "takes for no limits: swap them"
         )
-    still = [name for name, (lower, upper) in limits.items() if lower == upper]
     if still:
         yield (
             f"{listed('joint', still)} limited to one place, lower equal to upper: make it fixed, or widen it"
         )
-
-
-def _limits(joint: ET.Element) -> tuple[float, float]:
-    """Return lower and upper limit; a valid range where they are not to be judged."""
-    limit = joint.find("limit")
-    found = (
-        [] if limit is None else _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}")
-    )
-    return (found[0], found[1]) if len(found) == PAIR else (0.0, 1.0)
 
 
 def _attribute_numbers(text: str) -> list[float]:
@@ -211,18 +209,25 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     """Yield links by the fault in their masses."""
     inertials, masses = _inertials(element), _masses(element)
     stated = {name: inertial for name, inertial in inertials.items() if inertial is not None}
+    lacking = [
+        name for name, each in stated.items() if each.find("mass") is None or each.find("inertia") is None
+    ]
+    # A joint along which nothing weighs stands still in Bullet, whatever its motor does; a frame of mass 0
+    # that is fixed to what has a mass moves with it.
+    pieces = _pieces(element)
+    heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
     yield (
         [name for name, inertial in inertials.items() if inertial is None],
         "without <inertial>, for which the simulator would take 1 kg: give a mass and an "
         f"inertia, {MEND_ADVICE}",
     )
     yield (
-        [name for name, inertial in stated.items() if _is_incomplete(inertial)],
+        lacking,
         "with an <inertial> that lacks <mass> or <inertia>, which the simulator refuses: "
         f"give both, {MEND_ADVICE}",
     )
     yield (
-        [name for name, inertial in stated.items() if not _is_incomplete(inertial) and masses[name] is None],
+        [name for name in stated if name not in lacking and masses[name] is None],
         f"of a mass that is no number: give it in kg, {MEND_ADVICE}",
     )
     yield (
@@ -230,25 +235,10 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
         f"of a negative mass: give it in kg, {MEND_ADVICE}",
     )
     yield (
-        _massless(element, masses),
+        [name for name in masses if pieces[name] not in heavy],
         "of mass 0, with all that fixed joints add: a joint that carries no mass stands still in the "
         f"simulator; give it in kg, {MEND_ADVICE}",
     )
-
-
-def _is_incomplete(inertial: ET.Element) -> bool:
-    return inertial.find("mass") is None or inertial.find("inertia") is None
-
-
-def _massless(element: ET.Element, masses: Masses) -> list[str]:
-    """Return the links of rigid pieces without any mass.
-
-    A joint along which nothing weighs stands still in Bullet, whatever its motor does; a frame of mass 0 that
-    is fixed to what has a mass moves with it.
-    """
-    pieces = _pieces(element)
-    heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
-    return [name for name in masses if pieces[name] not in heavy]
 
 
 def _pieces(element: ET.Element) -> dict[str, str]:
