@@ -1,7 +1,7 @@
 """Check of any asset by name or file: what it is and what is wrong with it, in words."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import msgspec
@@ -33,15 +33,9 @@ class AssetSummary:
 
 
 def check(name: str) -> AssetSummary:
-    """Check a gripper or object of the catalog, or a mesh or gripper file.
-
-    Raises
-    ------
-    UnknownName
-        It is none of these.
-    """
+    """Check a gripper or object by name or file; `UnknownName` if it is neither."""
     try:
-        return _check_of(name)(name)
+        return _check(name)
     except UnknownName:
         raise
     except QdgraspError as error:
@@ -53,96 +47,63 @@ def is_gripper(name: str) -> bool:
     return name.endswith(GRIPPER_SUFFIX) or name in {listing.name for listing in catalog.every_gripper()}
 
 
-def _check_of(name: str) -> Callable[[str], AssetSummary]:
+def _check(name: str) -> AssetSummary:
     if name in STAND_INS:
-        return _stand_in
+        target = stand_in(name)
+        return _mesh_summary(name, target.mesh, (_hulls_in_words(target.parts), f"{target.mass:g} kg"))
     if name in SCANS:
-        return _SCANS[ycb.scan_source(name)]
+        return _check_scan(name)
     if is_gripper(name):
-        return _gripper
+        found = examine_gripper(name)
+        return AssetSummary(name, found.facts, found.faults)
     if path_problem(named_path(name)) != NOT_THERE:
-        return _mesh_file
+        draft = read_draft(named_path(name))
+        report = inspect_object(draft, name, glued=True, parts=False)
+        hulls = () if report.faults else (_known_hulls(draft.mesh),)
+        return AssetSummary(name, report.facts + hulls, report.faults)
     known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
     raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
 
 
-def _stand_in(name: str) -> AssetSummary:
-    target = stand_in(name)
-    return _of_mesh(name, target.mesh, _hulls_in_words(len(target.parts)), f"{target.mass:g} kg")
-
-
-def _on_asset_path(name: str) -> AssetSummary:
-    target = ycb.read_scan(name, "paper")
-    report = _of_mesh(name, target.mesh, _hulls_in_words(len(target.parts)), f"{target.mass:g} kg")
-    return AssetSummary(name, report.facts, report.faults + scan_differences(target.mesh, SCANS[name]))
-
-
-def _fetched(name: str) -> AssetSummary:
-    file, scan = fetched_mesh(name), SCANS[name]
+def _check_scan(name: str) -> AssetSummary:
+    scan, source = SCANS[name], ycb.scan_source(name)
+    if source == catalog.ABSENT:
+        fault = f"it is absent ({searched()}); `qdgrasp asset fetch {name}` fetches it"
+        return AssetSummary(name, faults=(fault,))
+    if source == "asset path":
+        target = ycb.read_scan(name, "paper")
+        facts = _hulls_in_words(target.parts), f"{target.mass:g} kg"
+        return _mesh_summary(name, target.mesh, facts, scan_differences(target.mesh, scan))
+    file = fetched_mesh(name)
     mesh = correct_mesh(read_mesh(file), scan)
     known, found = read_pin(scan.archive).mesh_sha256, hashlib.sha256(file.read_bytes()).hexdigest()
-    report = _of_mesh(
-        name, mesh, _known_hulls(mesh), f"sha256 {found}" + ("" if known else " (none is known)")
-    )
-    tampered = known is not None and known != found
-    hashes = (f"its file '{file}' has sha256 {found} instead of {known}; fetch it again",) if tampered else ()
-    return AssetSummary(name, report.facts, report.faults + scan_differences(mesh, scan) + hashes)
+    facts = _known_hulls(mesh), f"sha256 {found}" + ("" if known else " (none is known)")
+    faults = list(scan_differences(mesh, scan))
+    if known is not None and known != found:
+        faults.append(f"its file '{file}' has sha256 {found} instead of {known}; fetch it again")
+    return _mesh_summary(name, mesh, facts, faults)
 
 
-def _absent(name: str) -> AssetSummary:
-    return AssetSummary(
-        name, faults=(f"it is absent ({searched()}); `qdgrasp asset fetch {name}` fetches it",)
-    )
-
-
-_SCANS: dict[str, Callable[[str], AssetSummary]] = {
-    "asset path": _on_asset_path,
-    "fetched": _fetched,
-    catalog.ABSENT: _absent,
-}
-
-
-def _mesh_file(name: str) -> AssetSummary:
-    draft = read_draft(named_path(name))
-    found = inspect_object(draft, name, glued=True, parts=False)
-    return AssetSummary(
-        name, found.facts + (() if found.faults else (_known_hulls(draft.mesh),)), found.faults
-    )
-
-
-def _of_mesh(name: str, mesh: Mesh, *more: str) -> AssetSummary:
-    facts = (
-        f"{lengths_in_words(mesh.extents)} m",
-        counted(len(mesh.faces), "triangle"),
-        f"{mesh.volume * 1e6:.2f} cm3",
-        *more,
-    )
-    return AssetSummary(name, tuple(fact for fact in facts if fact), surface_faults(mesh))
+def _mesh_summary(name: str, mesh: Mesh, facts: Iterable[str], faults: Iterable[str] = ()) -> AssetSummary:
+    size = f"{lengths_in_words(mesh.extents)} m", counted(len(mesh.faces), "triangle")
+    volume = f"{mesh.volume * 1e6:.2f} cm3"
+    return AssetSummary(name, (*size, volume, *facts), (*surface_faults(mesh), *faults))
 
 
 def _known_hulls(mesh: Mesh) -> str:
     parts = available_parts(mesh)
-    return (
-        "convex parts not found yet: CoACD will, at first use"
-        if parts is None
-        else _hulls_in_words(len(parts))
-    )
+    return "convex parts not found yet: CoACD will, at first use" if parts is None else _hulls_in_words(parts)
 
 
-def _hulls_in_words(number: int) -> str:
-    return f"{number} convex part{'s' if number > 1 else ''}"
+def _hulls_in_words(parts: tuple[Mesh, ...]) -> str:
+    return f"{len(parts)} convex part{'s' if len(parts) > 1 else ''}"
 
 
 def examine_gripper(name: str) -> GripperReport:
-    """Examine a gripper of the catalog, or a gripper's file.
+    """Examine a gripper of the catalog, or a gripper's file; `UnknownName` if it is neither.
 
     A reference hand is as its authors published it, with limits that have a meaning of their own: what would
     be wrong with another hand is only noted.
-
-    Raises
-    ------
-    UnknownName
-        It is neither.
     """
     found = examine(catalog.gripper_path(name), name)
     if not found.faults or not name.startswith(catalog.REFERENCE):
@@ -152,8 +113,3 @@ def examine_gripper(name: str) -> GripperReport:
     except QdgraspError:
         return found
     return msgspec.structs.replace(found, notes=found.faults, faults=())
-
-
-def _gripper(name: str) -> AssetSummary:
-    found = examine_gripper(name)
-    return AssetSummary(name, found.facts, found.faults)

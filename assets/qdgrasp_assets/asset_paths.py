@@ -1,4 +1,4 @@
-"""Where assets lie: the folders of the asset path, downloaded data, and the cache."""
+"""Places of assets: the folders of the asset path, downloaded data, and the cache."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ def named_path(name: str | Path) -> Path:
     """Return the path that a user names, with `~` expanded where there is a home."""
     try:
         return Path(name).expanduser()
-    except RuntimeError:  # the home of somebody who is not there
+    except RuntimeError:  # the home of an unknown user
         return Path(name)
 
 

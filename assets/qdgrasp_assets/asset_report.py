@@ -29,7 +29,7 @@ from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, posture_faults, posture_notes
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.gripper_file import GripperFile, gripper_faults, read_gripper_file, urdf_path
-from qdgrasp_assets.grippers.hand_model import HandModel, guess_base, read_hand_model
+from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element
 from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, structure_faults, weight_faults
 from qdgrasp_assets.object_model import ObjectDraft
@@ -53,11 +53,6 @@ class AssetReport(Struct, frozen=True, kw_only=True):
         """All facts, one on each line."""
         notes, faults = (("note", words) for words in self.notes), (("WRONG", words) for words in self.faults)
         return "\n".join(f"{label:<16} {words}" for label, words in (*self._lines(), *notes, *faults))
-
-    @property
-    def facts(self) -> tuple[str, ...]:
-        """Summary of the main facts in a few words each."""
-        return ()
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         """Return the lines of the table as label and text, without notes and faults."""
@@ -85,7 +80,7 @@ class ConvexPartsReport(Struct, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """Description for a person."""
+        """Description in words."""
         return (
             f"{self.count}, {self.source}: fill the room before {100 * self.filled:.1f} % of the surface, "
             f"leave {100 * self.bare:.1f} % of it out"
@@ -132,16 +127,14 @@ class ObjectReport(AssetReport, frozen=True, kw_only=True):
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         yield "object", self.name
-        yield (
-            "size",
-            f"{lengths_in_words(self.extents)} m"
-            + ("" if self.scale == 1 else f" ({scale_in_words(self.scale)})"),
-        )
+        unit = "" if self.scale == 1 else f" ({scale_in_words(self.scale)})"
+        yield "size", f"{lengths_in_words(self.extents)} m{unit}"
         yield "surface", f"{counted(self.triangles, 'triangle')}, {'closed' if self.closed else 'NOT closed'}"
         yield "bodies", f"{self.bodies}" + (f", with {self.hollows} hollow within" if self.hollows else "")
         if self.volume is not None and self.centre_of_mass is not None:
             yield "volume", f"{self.volume * 1e6:.2f} cm3"
-            yield "mass", self._mass
+            mass = "not said" if self.mass is None else f"{self.mass:g} kg, {self.density:.0f} kg/m3"
+            yield "mass", mass
             yield "centre of mass", f"{_numbers(self.centre_of_mass)} m, frame of the mesh file"
             for turn, row in enumerate(self.inertia or ()):
                 words = "kg m2, about the centre of mass, solid throughout"
@@ -150,10 +143,6 @@ class ObjectReport(AssetReport, frozen=True, kw_only=True):
             yield "convex parts", self.convex.words if self.convex else "not looked for"
         repairs = self.repairs or (() if self.faults else ("nothing had to be",))
         yield from (("repaired", words) for words in repairs)
-
-    @property
-    def _mass(self) -> str:
-        return "not said" if self.mass is None else f"{self.mass:g} kg, {self.density:.0f} kg/m3"
 
 
 def inspect_object(
@@ -169,22 +158,10 @@ def inspect_object(
 ) -> ObjectReport:
     """Inspect a mesh file before a run is made of it.
 
-    Parameters
-    ----------
-    name
-        Name of the object in the result.
-    scale
-        Metres to a unit of the file; None: 1.
-    mass
-        [kg]; None: unknown.
-    glued
-        Whether bodies that are apart are meant to be one rigid object.
-    parts
-        Whether its convex parts are found, which takes minutes where they are not kept already.
-    time_limit
-        Time limit for that [s].
-    tell
-        Called with its progress.
+    `name` is the object's in the result, `scale` metres to a unit of the file (None: 1), `mass` in kg (None:
+    unknown). With `glued`, bodies that are apart are meant to be one rigid object. With `parts` its convex
+    parts are found, which takes minutes where they are not kept already; `time_limit` [s] and `tell` are for
+    that.
     """
     mesh, volumes = draft.mesh, body_volumes(draft.mesh)
     hollows = 0 if draft.faults else int((volumes < 0).sum())
@@ -197,50 +174,40 @@ def inspect_object(
         bodies=len(volumes) - hollows,
         hollows=hollows,
         repairs=draft.repairs,
-        notes=tuple(_of_file(draft)),
         faults=draft.faults,
     )
+    notes = []
+    if draft.geometries > 1:
+        notes.append(f"the file holds {draft.geometries} geometries, which are taken as one object")
     if found.faults:
-        return found
-    found = _measured_object(found, mesh, mass)
-    if not glued and (fault := gap_note(mesh)):
-        return msgspec.structs.replace(found, notes=(), faults=(fault,))
-    return _with_parts(found, mesh, time_limit, tell) if parts else found
-
-
-def _measured_object(found: ObjectReport, mesh: Mesh, mass: float | None) -> ObjectReport:
-    """Return the inspection with the values that only a solid has."""
+        return msgspec.structs.replace(found, notes=tuple(notes))
     density = None if mass is None else mass / mesh.volume
-    return msgspec.structs.replace(
+    inertia = None if mass is None else _without_rounding(mass * mesh.inertia)
+    found = msgspec.structs.replace(
         found,
         volume=mesh.volume,
         mass=mass,
         density=density,
         centre_of_mass=vector(_without_rounding(mesh.centre_of_mass)),
-        inertia=None
-        if mass is None
-        else tuple(vector(row) for row in _without_rounding(mass * mesh.inertia)),
+        inertia=None if inertia is None else tuple(vector(row) for row in inertia),
         surface_points=int(POINTS_PER_METRE * np.linalg.norm(mesh.extents)),
-        notes=(*found.notes, *_of_solid(found, mesh), *_of_mass(mesh.volume, density)),
+        notes=(*notes, *_solid_notes(found, mesh, density)),
     )
-
-
-def _with_parts(found: ObjectReport, mesh: Mesh, time_limit: float, tell: Tell) -> ObjectReport:
+    if not glued and (fault := gap_note(mesh)):
+        return msgspec.structs.replace(found, notes=(), faults=(fault,))
+    if not parts:
+        return found
     try:
-        source, parts = collision_parts(mesh, found.name, time_limit, tell)
+        source, convex = collision_parts(mesh, name, time_limit, tell)
     except AssetError as error:
-        return msgspec.structs.replace(found, faults=(str(error).rstrip("."),))
-    fit = FingerClearance(mesh).fit(parts)
-    convex = ConvexPartsReport(count=len(parts), source=source, filled=fit.filled, bare=fit.bare)
-    return msgspec.structs.replace(found, convex=convex)
+        return msgspec.structs.replace(found, faults=(_one_line(error),))
+    fit = FingerClearance(mesh).fit(convex)
+    fitted = ConvexPartsReport(count=len(convex), source=source, filled=fit.filled, bare=fit.bare)
+    return msgspec.structs.replace(found, convex=fitted)
 
 
-def _of_file(draft: ObjectDraft) -> Iterator[str]:
-    if draft.geometries > 1:
-        yield f"the file holds {draft.geometries} geometries, which are taken as one object"
-
-
-def _of_solid(found: ObjectReport, mesh: Mesh) -> Iterator[str]:
+def _solid_notes(found: ObjectReport, mesh: Mesh, density: float | None) -> Iterator[str]:
+    """Yield the notes on a closed mesh and its density [kg/m3]; None without a mass."""
     if found.bodies > 1:
         yield (
             f"its {found.bodies} bodies are moved as one rigid object, as if they were glued: give things "
@@ -256,15 +223,11 @@ def _of_solid(found: ObjectReport, mesh: Mesh) -> Iterator[str]:
         )
     if found.triangles > MANY_TRIANGLES:
         yield f"{found.triangles} triangles: convex parts take minutes; 20 000 show a finger as much"
-
-
-def _of_mass(volume: float, density: float | None) -> Iterator[str]:
     if density is None:
-        yield f"a run needs its mass (--mass); of water it would be {WATER * volume:.3g} kg"
-    elif density > HEAVIEST:
-        yield f"at {density:.3g} kg/m3 it is denser than lead: is its mass in kg, and its size right?"
-    elif density < LIGHTEST:
-        yield f"at {density:.3g} kg/m3 it is lighter than foam: is its mass in kg, and its size right?"
+        yield f"a run needs its mass (--mass); of water it would be {WATER * mesh.volume:.3g} kg"
+    elif not LIGHTEST <= density <= HEAVIEST:
+        kind = "denser than lead" if density > HEAVIEST else "lighter than foam"
+        yield f"at {density:.3g} kg/m3 it is {kind}: is its mass in kg, and its size right?"
 
 
 def _without_rounding(values: Floats) -> Floats:
@@ -340,7 +303,7 @@ def examine(path: Path, name: str) -> GripperReport:
 
 
 def examine_urdf(
-    urdf: Path, name: str, told: DraftOverrides = NO_OVERRIDES
+    urdf: Path, name: str, overrides: DraftOverrides = NO_OVERRIDES
 ) -> tuple[GripperReport, Gripper | None]:
     """Examine a URDF with the gripper file guessed for it, and return the gripper too.
 
@@ -349,22 +312,14 @@ def examine_urdf(
     try:
         robot, faults = read_robot(urdf, read_robot_element(urdf))
         if robot is not None:
-            base = told.base_link or guess_base(robot)[0]
+            base = overrides.base_link or guess_base(robot)[0]
             faults = hand_faults(robot, base)
             if not faults:
-                file = draft_gripper(robot, str(urdf), replace(told, base_link=base)).file
+                file = draft_gripper(robot, str(urdf), replace(overrides, base_link=base)).file
                 return examine_hand(robot, file, name), Gripper(name, urdf.name, file, robot)
     except QdgraspError as error:
         faults = (_one_line(error),)
     return GripperReport(name=name, faults=faults), None
-
-
-def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
-    """Examine a hand whose file and URDF are read already."""
-    faults = (*gripper_faults(file, robot), *hand_faults(robot, file.base_link))
-    if faults:
-        return GripperReport(name=name, faults=tuple(dict.fromkeys(faults)))
-    return _measured_hand(name, file, read_hand_model(robot, file.base_link))
 
 
 def read_robot(urdf: Path, element: ET.Element) -> tuple[Urdf | None, tuple[str, ...]]:
@@ -386,12 +341,24 @@ def hand_faults(robot: Urdf, base: str) -> tuple[str, ...]:
     return (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand))
 
 
-def _measured_hand(name: str, file: GripperFile, body: HandModel) -> GripperReport:
-    """Return the examination of a hand that can be simulated."""
+def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
+    """Examine a hand whose file and URDF are read already."""
+    impossible = (*gripper_faults(file, robot), *hand_faults(robot, file.base_link))
+    if impossible:
+        return GripperReport(name=name, faults=tuple(dict.fromkeys(impossible)))
+    body = read_hand_model(robot, file.base_link)
     hand = HandPostures(file, body)
     corners = body.corners(body.parts, hand.posture(0.0))
-    x, y, z = (float(side) for side in (np.ptp(corners, axis=0) if len(corners) else np.zeros(3)))
     faults = posture_faults(file, body)
+    notes = [] if faults else [*posture_notes(file, body)]
+    if not faults and (
+        hollow := [f"{each.link} {100 * each.filled:.0f} %" for each in hollow_meshes(body.robot)]
+    ):
+        notes.append(
+            "the simulator wraps each collision mesh in its convex hull, which fills the room before "
+            f"much of the surface of {', '.join(hollow)}: "
+            "`qdgrasp gripper new --mend` splits such meshes into convex parts"
+        )
     return GripperReport(
         name=name,
         urdf=str(body.robot.path),
@@ -403,21 +370,11 @@ def _measured_hand(name: str, file: GripperFile, body: HandModel) -> GripperRepo
         finger_links=file.finger_links,
         synergies=tuple(synergy.name for synergy in file.synergies),
         mass=body.robot.mass,
-        extents=(x, y, z),
+        extents=vector(np.ptp(corners, axis=0)) if len(corners) else (0.0, 0.0, 0.0),
         parts=sum(map(len, body.parts.values())),
-        notes=() if faults else (*posture_notes(file, body), *_hollow_note(body.robot)),
+        notes=tuple(notes),
         faults=faults,
     )
-
-
-def _hollow_note(hand: Urdf) -> Iterator[str]:
-    found = [f"{each.link} {100 * each.filled:.0f} %" for each in hollow_meshes(hand)]
-    if found:
-        yield (
-            "the simulator wraps each collision mesh in its convex hull, which fills the room before "
-            f"much of the surface of {', '.join(found)}: "
-            "`qdgrasp gripper new --mend` splits such meshes into convex parts"
-        )
 
 
 def _one_line(error: Exception) -> str:

@@ -38,12 +38,8 @@ class CatalogEntry:
 def build_scene(spec: RunSpec) -> Scene:
     """Build the scene of a run's spec; the same spec and files give the same bits.
 
-    Raises
-    ------
-    UnknownName
-        A gripper or object that is neither known nor a file.
-    AssetError
-        One of its files cannot be used.
+    Raises `UnknownName` for a gripper or object that is neither known nor a file, and `AssetError` where one
+    of its files cannot be used.
     """
     gripper = find_gripper(spec.gripper)
     target = find_object(spec)
@@ -53,7 +49,7 @@ def build_scene(spec: RunSpec) -> Scene:
     return Scene(
         protocol=spec.protocol,
         gripper=gripper.on_carrier(spec.protocol),
-        object=target.packed(),
+        object=target.to_scene(),
         points=surface.points.astype("<f4").tobytes(),
         normals=surface.normals.astype("<f4").tobytes(),
         finder_low=vector(surface.finder_low),
@@ -64,14 +60,9 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def find_gripper(name: str) -> Gripper:
-    """Return the gripper of the catalog with this name, or the one of this TOML file.
+    """Return the gripper of this name or TOML file; errors as of `build_scene`.
 
     Reference hands keep the masses that their authors left to the simulator.
-
-    Raises
-    ------
-    UnknownName, UnknownKey, AssetError
-        As in `build_scene`.
     """
     path = gripper_path(name)
     if path.parent == GRIPPERS:
@@ -82,13 +73,7 @@ def find_gripper(name: str) -> Gripper:
 
 
 def gripper_path(name: str) -> Path:
-    """Return the path of a gripper's TOML file, from its name in the catalog or its path.
-
-    Raises
-    ------
-    UnknownName
-        It is neither.
-    """
+    """Return the path of a gripper's TOML file, from its name in the catalog or its path."""
     built_in = GRIPPERS / f"{name}.toml"
     if built_in in _gripper_files():
         return built_in
@@ -100,13 +85,7 @@ def gripper_path(name: str) -> Path:
 
 
 def find_object(spec: RunSpec) -> ObjectModel:
-    """Return the object that a spec names, with the spec's mass and friction.
-
-    Raises
-    ------
-    UnknownName, AssetError
-        As in `build_scene`.
-    """
+    """Return the object of a spec, with its mass and friction; errors of `build_scene`."""
     target = _find_target(spec)
     if spec.mass is not None:
         target = replace(target, mass=spec.mass)
@@ -133,12 +112,7 @@ def _find_target(spec: RunSpec) -> ObjectModel:
 def check_object(name: str) -> None:
     """Check that a name is an object's: a stand-in, a scan that is there, or a file.
 
-    Raises
-    ------
-    UnknownName
-        It is none of these.
-    AssetError
-        It is a scan's, which is not there, or a folder.
+    Raises `UnknownName` if it is none of these, `AssetError` for a scan that is not there, or a folder.
     """
     path = named_path(name)
     if name in ycb.SCAN_NAMES:
@@ -151,38 +125,27 @@ def check_object(name: str) -> None:
 
 
 def gripper_names() -> tuple[str, ...]:
-    """Return the names of the grippers that can be used here."""
-    return tuple(listing.name for listing in grippers())
+    """Return the names of the grippers whose files are there."""
+    return tuple(listing.name for listing in every_gripper() if listing.is_there)
 
 
 def object_names() -> tuple[str, ...]:
-    """Return the names of the objects that can be used here, without mesh files."""
-    return tuple(listing.name for listing in objects())
-
-
-def grippers() -> tuple[CatalogEntry, ...]:
-    """Return the grippers whose files are there."""
-    return tuple(listing for listing in every_gripper() if listing.is_there)
-
-
-def objects() -> tuple[CatalogEntry, ...]:
-    """Return the stand-ins, and the scans that are there."""
-    return tuple(listing for listing in every_object() if listing.is_there)
+    """Return the names of the stand-ins, and of the scans that are there."""
+    return tuple(listing.name for listing in every_object() if listing.is_there)
 
 
 def every_gripper() -> tuple[CatalogEntry, ...]:
-    """All grippers that this package knows, also those whose files are absent."""
-    files = {path: read_gripper_file(path) for path in _gripper_files()}
-    return tuple(
-        CatalogEntry(
-            path.stem, ABSENT if file.find_urdf(path) is None else _gripper_source(path.stem), file.licence
-        )
-        for path, file in files.items()
-    )
+    """Return all grippers that this package knows, also those whose files are absent."""
+    found = []
+    for path in _gripper_files():
+        file = read_gripper_file(path)
+        source = ABSENT if file.find_urdf(path) is None else _gripper_source(path.stem)
+        found.append(CatalogEntry(path.stem, source, file.licence))
+    return tuple(found)
 
 
 def every_object() -> tuple[CatalogEntry, ...]:
-    """All stand-ins and scans, also absent ones."""
+    """Return all stand-ins and scans, also absent ones."""
     own = tuple(CatalogEntry(name, "built in", LICENCE) for name in STAND_INS)
     return own + tuple(CatalogEntry(name, ycb.scan_source(name), ycb.LICENCE) for name in ycb.SCAN_NAMES)
 

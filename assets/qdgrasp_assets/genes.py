@@ -13,8 +13,6 @@ Genes = tuple[Gene, ...]
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 NU_A = np.pi / 4  # Half-aperture of the approach cone (Huber et al. 2024, section III-A).
-
-
 ANTIPODAL = "antipodal"  # The prior that needs a two-finger hand
 AIMED = "aimed"  # The prior that aims at a cell and chooses among candidates
 FEATURES = ("swept", "opposed", "facing", "distance", "height", "constant")
@@ -26,13 +24,9 @@ STEEPEST = 8.0  # Largest absolute weight of a feature
 def layout(scene: Scene, prior: str) -> Layout:
     """Return the genes of a prior with this scene: its own, then synergy and free joints.
 
-    The synergy gene maps to round(values) in 0 .. m - 1; poses that are scored as given hold its label
-    (-1: none) and the free joints' positions [rad] as they are.
-
-    Raises
-    ------
-    JawNeeded
-        The prior is for two-finger hands, and this hand does not have two fingers.
+    The synergy gene maps to round(values) in 0 .. m - 1; poses that are scored as given hold its label (-1:
+    none) and the free joints' positions [rad] as they are. Raises `JawNeeded` where a prior for two-finger
+    hands meets another hand.
     """
     gripper = scene.gripper
     synergy = (Gene("synergy", 0.0, len(gripper.synergies) - 1.0),) if gripper.synergies else ()
@@ -46,8 +40,16 @@ def descriptors(prior: str) -> int:
 
 
 def archive_box(scene: Scene, prior: str) -> Box:
-    """Return low and high corner (3,) [m] of the box of hand positions, CoM frame."""
-    return ARCHIVE_BOXES.get(prior, _around_object)(scene)
+    """Return low and high corner (3,) [m] of the box of hand positions, CoM frame.
+
+    It is the object's box, enlarged by the largest distance of a hand from the surface; for spherical
+    positions, which are not bound to the surface, the box of the ball that they fill.
+    """
+    if prior == "spherical":
+        corner = np.full(3, spherical_radius(scene))
+        return -corner, corner
+    reach = scene.gripper.reach
+    return np.array(scene.object_low) - reach, np.array(scene.object_high) + reach
 
 
 def spherical_radius(scene: Scene) -> float:
@@ -77,15 +79,6 @@ def _cone(scene: Scene, aperture: float) -> Genes:
         Gene("xi", 0.0, 2 * np.pi),
         Gene("omega", 0.0, 2 * np.pi),
     )
-
-
-def _contact(scene: Scene) -> Genes:
-    """Contact is approach with nu_a = pi (Huber et al. 2024, section III-A)."""
-    return _cone(scene, np.pi)
-
-
-def _approach(scene: Scene) -> Genes:
-    return _cone(scene, NU_A)
 
 
 def _antipodal(scene: Scene) -> Genes:
@@ -121,24 +114,8 @@ PRIOR_GENES: dict[str, Callable[[Scene], Genes]] = {
     AIMED: _aimed,
     GIVEN: _given,
     ANTIPODAL: _antipodal,
-    "approach": _approach,
-    "contact": _contact,
+    "approach": lambda scene: _cone(scene, NU_A),
+    "contact": lambda scene: _cone(scene, np.pi),  # approach with nu_a = pi (Huber et al. 2024, III-A)
     "spherical": _spherical,
 }
 """The prior's own genes, by prior."""
-
-
-def _around_object(scene: Scene) -> Box:
-    """Return the object's box, enlarged by the largest distance of a hand from the surface."""
-    reach = scene.gripper.reach
-    return np.array(scene.object_low) - reach, np.array(scene.object_high) + reach
-
-
-def _around_ball(scene: Scene) -> Box:
-    """Return the box of the ball about the centre of mass that spherical positions fill."""
-    corner = np.full(3, spherical_radius(scene))
-    return -corner, corner
-
-
-ARCHIVE_BOXES: dict[str, Callable[[Scene], Box]] = {"spherical": _around_ball}
-"""The priors whose positions are not bound to the surface."""

@@ -33,7 +33,7 @@ class ObjectDraft:
     """Faults that are left, in words; empty where it can be used."""
 
     @classmethod
-    def unread(cls, why: str) -> "ObjectDraft":
+    def unreadable(cls, why: str) -> "ObjectDraft":
         """Return the draft of a file that cannot be read."""
         nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
         return cls(nothing, 0, (), (why.rstrip("."),))
@@ -42,17 +42,9 @@ class ObjectDraft:
 def read_draft(path: Path, scale: float | None = None, *, fill_holes: bool = False) -> ObjectDraft:
     """Read and repair a mesh file, and list its faults as an object.
 
-    Parameters
-    ----------
-    scale
-        Metres to a unit of the file; None: 1, unless the file says another unit.
-    fill_holes
-        Whether small holes are filled.
-
-    Raises
-    ------
-    AssetError
-        It is not there, no mesh, empty, or says another unit than it is read in.
+    `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `fill_holes` fills
+    small holes. Raises `AssetError` if the file is not there, no mesh, empty, or says another unit than it is
+    read in.
     """
     file = read_mesh_file(path)
     check_stated(str(path), file.unit, scale)
@@ -66,17 +58,8 @@ def read_draft(path: Path, scale: float | None = None, *, fill_holes: bool = Fal
 def read_solid(path: Path, scale: float | None = None) -> Mesh:
     """Read a closed surface in metres from any readable mesh file; one or several bodies.
 
-    Repairs are reported in a warning.
-
-    Parameters
-    ----------
-    scale
-        Metres to a unit of the file; None: 1.
-
-    Raises
-    ------
-    AssetError
-        As in `read_draft`, or it is not of a size that a hand can grasp, open, wound both ways or flat.
+    `scale` is metres to a unit of the file; None: 1. Repairs are reported in a warning. Raises `AssetError`
+    as `read_draft`, or if it is not of a size that a hand can grasp, open, wound both ways or flat.
     """
     draft = read_draft(path, scale)
     if draft.faults:
@@ -119,7 +102,7 @@ class ObjectModel:
         """Convex parts in the CoM frame."""
         return tuple(part.moved(-self.com_in_mesh) for part in self.parts)
 
-    def packed(self) -> SceneObject:
+    def to_scene(self) -> SceneObject:
         """Return the object in a scene's form."""
         mesh = self.centred_mesh
         return SceneObject(
@@ -141,24 +124,14 @@ class ObjectModel:
 def read_object(path: Path, mass: float | None, scale: float | None = None) -> ObjectModel:
     """Read an object from any closed mesh file; its CoM is that of the enclosed volume.
 
-    Its convex parts serve `released` too, as the collision mesh that normals come from.
-
-    Parameters
-    ----------
-    mass
-        [kg]
-    scale
-        Metres to a unit of the file; None: 1.
-
-    Raises
-    ------
-    AssetError
-        The mesh cannot be used, or there is no mass.
+    `mass` is in kg, `scale` in metres to a unit of the file; None: 1. Its convex parts serve `released` too,
+    as the collision mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is
+    no mass.
     """
     mesh = read_solid(path, scale)
-    if room := body_gap(mesh):
+    if gap := body_gap(mesh):
         log.warning(
-            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, room
+            "Bodies of '%s' with about %.2g m of air between them are moved as one rigid object.", path, gap
         )
     if mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")

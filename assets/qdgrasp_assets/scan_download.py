@@ -44,36 +44,28 @@ TAR_HEADER = 512  # bytes of a header
 def read_member(archive: Path, member: str) -> bytes:
     """Return the content of the file `member` of a `.tgz`.
 
-    Raises
-    ------
-    AssetError
-        There is no such file in it, it is no file or too large, or the archive is none or broken.
+    Raises `AssetError` if it is not in it, no file or too large, or the archive is none or broken.
     """
+    unpacked = 0
     try:
         with tarfile.open(archive, mode="r|gz") as tar:
-            return _find_member(tar, archive, member)
+            for entry in tar:
+                unpacked += TAR_HEADER + entry.size
+                if unpacked > LARGEST_WHOLE:
+                    raise AssetError(f"'{archive.name}' unpacks to more than {LARGEST_WHOLE} bytes.")
+                if PurePosixPath(entry.name) == PurePosixPath(member):
+                    break
+            else:
+                raise AssetError(f"There is no '{member}' in '{archive.name}'.")
+            file = tar.extractfile(entry) if entry.isreg() else None
+            if file is None:
+                raise AssetError(f"'{entry.name}' in '{archive.name}' is not a file.")
+            if entry.size > LARGEST_MEMBER:
+                size = f"{entry.size} bytes, too many for a scan"
+                raise AssetError(f"'{entry.name}' in '{archive.name}' has {size}.")
+            return file.read()
     except (tarfile.TarError, zlib.error, EOFError, OSError) as error:
         raise AssetError(f"'{archive.name}' is not a whole tar archive: {error}.") from None
-
-
-def _find_member(tar: tarfile.TarFile, archive: Path, member: str) -> bytes:
-    unpacked = 0
-    for entry in tar:
-        unpacked += TAR_HEADER + entry.size
-        if unpacked > LARGEST_WHOLE:
-            raise AssetError(f"'{archive.name}' unpacks to more than {LARGEST_WHOLE} bytes.")
-        if PurePosixPath(entry.name) == PurePosixPath(member):
-            return _member_content(tar, entry, archive)
-    raise AssetError(f"There is no '{member}' in '{archive.name}'.")
-
-
-def _member_content(tar: tarfile.TarFile, entry: tarfile.TarInfo, archive: Path) -> bytes:
-    file = tar.extractfile(entry) if entry.isreg() else None
-    if file is None:
-        raise AssetError(f"'{entry.name}' in '{archive.name}' is not a file.")
-    if entry.size > LARGEST_MEMBER:
-        raise AssetError(f"'{entry.name}' in '{archive.name}' has {entry.size} bytes, too many for a scan.")
-    return file.read()
 
 
 ATTEMPTS = 5  # Consecutive connections without new bytes before a download is given up
@@ -104,25 +96,11 @@ NETWORK_ERRORS = (
 def download(
     url: str, file: Path, progress: Progress = lambda _here, _all: None, patience: float = SILENCE_LIMIT
 ) -> None:
-    """Download `url` into `file`, resuming an earlier partial download.
+    """Download `url`, http or https, into `file`, resuming an earlier partial download.
 
-    The bytes that came are kept in `file` with `.part` at its end until all of them are there.
-
-    Parameters
-    ----------
-    url
-        An http or https address.
-    progress
-        Is told how far it is.
-    patience
-        How long a server may send nothing [s].
-
-    Raises
-    ------
-    AssetError
-        There is no such file, the server cannot be reached, or it breaks off or stalls again and again.
-    OSError
-        The file cannot be written.
+    The bytes that came are kept in `file` with `.part` at its end until all of them are there. A server may
+    send nothing for `patience` [s]. Raises `AssetError` if there is no such file, the server cannot be
+    reached, or it breaks off or stalls again and again, and `OSError` if the file cannot be written.
     """
     if not url.startswith(("http://", "https://")):
         raise AssetError(f"Scans are fetched from an http or https address, got '{url}'.")
@@ -175,8 +153,8 @@ def _open_request(url: str, part: Path, patience: float) -> Iterator[Any]:
     headers = {"User-Agent": "qdgrasp", "Accept-Encoding": "identity"}
     if _size(part):
         headers["Range"] = f"bytes={_size(part)}-"
-        if mark := _read_etag(part):
-            headers["If-Range"] = mark
+        if _etag_file(part).is_file():
+            headers["If-Range"] = _etag_file(part).read_text(encoding="utf-8")
     request = urllib.request.Request(url, headers=headers)  # noqa: S310  # `download` takes http and https
     try:
         with urllib.request.urlopen(request, timeout=patience) as response:  # noqa: S310  # as above
@@ -184,28 +162,24 @@ def _open_request(url: str, part: Path, patience: float) -> Iterator[Any]:
     except urllib.error.HTTPError as error:
         if error.code != http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
             raise
-        with error:
-            _check_whole(error, part)
+        with error:  # no more bytes than `part` has: of the same file, or of another one
+            found = CONTENT_RANGE.fullmatch(error.headers.get("Content-Range", ""))
+            if found is None or int(found[2]) != _size(part):
+                for file in (part, _etag_file(part)):
+                    file.unlink(missing_ok=True)
+                raise ConnectionBroken("the server has another file than before") from None
             yield error
-
-
-def _check_whole(error: urllib.error.HTTPError, part: Path) -> None:
-    """Check that a server without more bytes than `part` has the same file, else raise `Broken`."""
-    said = CONTENT_RANGE.fullmatch(error.headers.get("Content-Range", ""))
-    if said is None or int(said[2]) != _size(part):
-        _remove_part(part)
-        raise ConnectionBroken("the server has another file than before")
 
 
 def _extent(response: Any, here: int) -> tuple[int, int | None]:
     """Return the byte at which a response begins, and the size of the whole file."""
-    said = CONTENT_RANGE.fullmatch(response.headers.get("Content-Range", ""))
+    found = CONTENT_RANGE.fullmatch(response.headers.get("Content-Range", ""))
     if response.status == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
         return here, here
     if response.status == http.HTTPStatus.PARTIAL_CONTENT:
-        if said is None or said[1] is None or int(said[1]) != here:
+        if found is None or found[1] is None or int(found[1]) != here:
             raise ConnectionBroken("the server sent another range than it was asked for")
-        return here, int(said[2])
+        return here, int(found[2])
     length = response.headers.get("Content-Length", "")
     return 0, int(length) if length.isdigit() else None
 
@@ -253,15 +227,6 @@ def _write_etag(part: Path, etag: str | None) -> None:
         _etag_file(part).unlink(missing_ok=True)
 
 
-def _read_etag(part: Path) -> str | None:
-    return _etag_file(part).read_text(encoding="utf-8") if _etag_file(part).is_file() else None
-
-
-def _remove_part(part: Path) -> None:
-    for file in (part, _etag_file(part)):
-        file.unlink(missing_ok=True)
-
-
 YCB_HOME = "https://ycb-benchmarks.s3.amazonaws.com"  # The public bucket of the YCB Object and Model Set
 YCB_TERMS = (
     "The scans are of the YCB Object and Model Set (Calli, Singh, Walsman, Srinivasa, Abbeel and Dollar "
@@ -292,27 +257,11 @@ class FetchedScan:
 
 
 def fetch_scan(name: str, home: str, progress: Progress, patience: float = SILENCE_LIMIT) -> FetchedScan:
-    """Fetch one scan into the data folder; it is checked first, and written whole.
+    """Fetch one of `SCAN_NAMES` into the data folder; it is checked first, and written whole.
 
-    Parameters
-    ----------
-    name
-        One of `SCAN_NAMES`.
-    home
-        The address that the paths of the archives are below.
-    progress
-        Is told how far the download is.
-    patience
-        How long the server may send nothing [s].
-
-    Raises
-    ------
-    UnknownName
-        There is no such scan.
-    WrongScan
-        It was fetched and is not what it must be.
-    AssetError
-        It cannot be fetched or written.
+    `home` is the address that the paths of the archives are below; the server may send nothing for `patience`
+    [s]. Raises `UnknownName` if there is no such scan, `WrongScan` if it is not what it must be, and
+    `AssetError` if it cannot be fetched or written.
     """
     if name not in SCANS:
         raise UnknownName("scan", name, SCANS, "Other objects are built in or mesh files of your own.")
@@ -336,18 +285,24 @@ def fetch_scan(name: str, home: str, progress: Progress, patience: float = SILEN
 
 def _accept(name: str, scan: Scan, archive: Path, known: ArchivePin) -> FetchedScan:
     """Check hash and geometry, keep a new hash in the lock file, then put the mesh in place."""
-    found = ArchivePin(size=archive.stat().st_size, sha256=_sha256(archive))
+    with archive.open("rb") as stream:
+        sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+    found = ArchivePin(size=archive.stat().st_size, sha256=sha256)
     _check_hash(known, found)
     content = read_member(archive, scan.member)
     found = ArchivePin(found.size, found.sha256, hashlib.sha256(content).hexdigest())
     _check_hash(known, found)
-    _check_geometry(scan, content)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / Path(scan.member).name
+        file.write_bytes(content)
+        read = correct_mesh(read_mesh(file), scan)
+    if wrong := scan_differences(read, scan) or surface_faults(read):
+        raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
     lock = write_pin(scan.archive, found) if known.sha256 is None else None
     mesh = fetched_mesh(name)
     mesh.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(
-        mesh.with_name("ATTRIBUTION.txt"), f"{scan.archive}: {scan.member}\n{YCB_TERMS}\n".encode()
-    )
+    attribution = f"{scan.archive}: {scan.member}\n{YCB_TERMS}\n"
+    write_atomically(mesh.with_name("ATTRIBUTION.txt"), attribution.encode())
     write_atomically(mesh, content)
     return FetchedScan(name, mesh, found, lock)
 
@@ -358,17 +313,3 @@ def _check_hash(known: ArchivePin, found: ArchivePin) -> None:
             f"it is not the archive that is known: {differs}; fetch it again, and if the set itself has "
             f"changed, remove its table from {users_lock()}."
         )
-
-
-def _check_geometry(scan: Scan, content: bytes) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / Path(scan.member).name
-        file.write_bytes(content)
-        mesh = correct_mesh(read_mesh(file), scan)
-    if wrong := scan_differences(mesh, scan) or surface_faults(mesh):
-        raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

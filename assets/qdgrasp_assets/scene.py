@@ -185,13 +185,7 @@ def pack_scene(scene: Scene) -> Bundle:
 
 
 def unpack_scene(payload: bytes) -> Scene:
-    """Return the scene in a bundle.
-
-    Raises
-    ------
-    MessageError
-        These bytes are not a scene of this format.
-    """
+    """Return the scene in a bundle; `MessageError` if the bytes are not a scene of this format."""
     try:
         values = msgpack.unpackb(payload, max_ext_len=0)
         came = values.get("format") if isinstance(values, dict) else None

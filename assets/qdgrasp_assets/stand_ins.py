@@ -68,15 +68,12 @@ BANANA_OUTLINES = (
 
 def banana() -> tuple[Mesh, tuple[Mesh, ...]]:
     """Return surface and convex parts of the banana around the axis of its arc."""
-    return loft([_banana_outline(*row) for row in BANANA_OUTLINES])
-
-
-def _banana_outline(
-    angle: float, distance: float, height: float, half_width: float, half_height: float
-) -> Floats:
-    outward = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    return superellipse(distance * outward + height * up, half_width * outward, half_height * up, power=2.0)
+    up, outlines = np.array([0.0, 0.0, 1.0]), []
+    for angle, distance, height, half_width, half_height in BANANA_OUTLINES:
+        outward = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
+        centre = distance * outward + height * up
+        outlines.append(superellipse(centre, half_width * outward, half_height * up, power=2.0))
+    return loft(outlines)
 
 
 BLEACH_CLEANSER_OUTLINES = (
@@ -111,11 +108,8 @@ def bleach_cleanser() -> tuple[Mesh, tuple[Mesh, ...]]:
 
 BOWL_SIDES = 20  # facets around
 BOWL_BOTTOM, BOWL_FLOOR = 0.0450, 0.003
-BOWL_LOW, BOWL_BEND, BOWL_HIGH = (
-    (0.0478, BOWL_FLOOR),
-    (0.0635, 0.021),
-    (0.0740, 0.0495),
-)  # the wall outside, as scanned
+# the wall outside, as scanned
+BOWL_LOW, BOWL_BEND, BOWL_HIGH = (0.0478, BOWL_FLOOR), (0.0635, 0.021), (0.0740, 0.0495)
 BOWL_WALL = 0.0025  # thick; the scanned 1 mm is thickened to what a simulator holds apart
 BOWL_RIM, BOWL_RIM_EDGE, BOWL_HEIGHT = 0.0795, 0.0505, 0.053  # published: 159 mm wide, 53 mm high
 
@@ -179,10 +173,7 @@ def chips_can() -> tuple[Mesh, tuple[Mesh, ...]]:
 
 MUG_SIDES = 20  # facets around the cup
 MUG_RADIUS, MUG_HEIGHT = 0.040, 0.082  # published: 80 mm wide, 82 mm high
-MUG_INNER, MUG_FLOOR = (
-    0.0375,
-    0.004,
-)  # the scanned wall of 1.2 mm is thickened to what a simulator holds apart
+MUG_INNER, MUG_FLOOR = 0.0375, 0.004  # the scanned wall of 1.2 mm is thickened so that a simulator holds it
 MUG_BOTTOM = 0.036  # radius under the chamfer
 MUG_RIM, MUG_RIM_LOW, MUG_RIM_EDGE = 0.046, 0.077, 0.0795
 MUG_WINDOWS = (0.009, 0.022), (0.0595, 0.0725)  # rows of the wall in which the handle ends
@@ -202,31 +193,19 @@ MUG_PROFILE = np.array(
 )
 """(9, 2): radius and height of the cup's rings, upward outside and downward inside."""
 MUG_LOWER_ROW, MUG_UPPER_ROW = 2, 4
-"""The rows of `PROFILE` that hold windows."""
+"""The rows of `MUG_PROFILE` that hold windows."""
 
-HANDLE_PATH = np.array(
+HANDLE_PATH = np.column_stack(
     [
-        (MUG_FACET, 0.0660),
-        (0.0540, 0.0655),
-        (0.0620, 0.0600),
-        (0.0663, 0.0500),
-        (0.0663, 0.0400),
-        (0.0630, 0.0290),
-        (0.0560, 0.0210),
-        (MUG_FACET, 0.0155),
+        (MUG_FACET, 0.0540, 0.0620, 0.0663, 0.0663, 0.0630, 0.0560, MUG_FACET),
+        (0.0660, 0.0655, 0.0600, 0.0500, 0.0400, 0.0290, 0.0210, 0.0155),
     ]
 )
 """(8, 2): x and z of the handle's centre line, from its upper end to its lower one."""
-HANDLE_SECTION = np.array(
+HANDLE_SECTION = np.column_stack(
     [
-        (0.0060, 0.0017),
-        (0.0042, 0.0035),
-        (-0.0042, 0.0035),
-        (-0.0060, 0.0017),
-        (-0.0060, -0.0017),
-        (-0.0042, -0.0035),
-        (0.0042, -0.0035),
-        (0.0060, -0.0017),
+        (0.0060, 0.0042, -0.0042, -0.0060, -0.0060, -0.0042, 0.0042, 0.0060),
+        (0.0017, 0.0035, 0.0035, 0.0017, -0.0017, -0.0035, -0.0035, -0.0017),
     ]
 )
 """(8, 2): the handle's cross-section, y and outward from the centre line, counter-clockwise."""
@@ -234,12 +213,9 @@ HANDLE_SECTION = np.array(
 
 def mug() -> tuple[Mesh, tuple[Mesh, ...]]:
     """Return surface and convex parts of the mug: floor, wall, rim and handle."""
-    return _mug_surface(), (
-        disc(MUG_PROFILE[:2], MUG_SIDES),
-        *ring(MUG_WALL, MUG_SIDES),
-        *ring(MUG_BRIM, MUG_SIDES),
-        *_mug_handle(),
-    )
+    floor, handle = disc(MUG_PROFILE[:2], MUG_SIDES), pairwise(_handle_sections())
+    handle_parts = (hull(np.concatenate(sections)) for sections in handle)
+    return _mug_surface(), (floor, *ring(MUG_WALL, MUG_SIDES), *ring(MUG_BRIM, MUG_SIDES), *handle_parts)
 
 
 MUG_WALL = np.array(
@@ -255,11 +231,6 @@ MUG_BRIM = np.array(
     ]
 )
 """Convex halves of the cup's cross-section, (n, 2) radius and height."""
-
-
-def _mug_handle() -> list[Mesh]:
-    """Return the handle's convex parts, one between each two sections."""
-    return [hull(np.concatenate(pair)) for pair in pairwise(_handle_sections())]
 
 
 def _handle_sections() -> Floats:
@@ -282,28 +253,17 @@ def _mug_surface() -> Mesh:
     corners = np.arange(len(MUG_PROFILE) * MUG_SIDES).reshape(-1, MUG_SIDES)
     below, above = corners.size, corners.size + 1
     tube = corners.size + 2 + np.arange(len(HANDLE_PATH) * len(HANDLE_SECTION)).reshape(len(HANDLE_PATH), -1)
-    faces = [
-        fan(below, corners[0][::-1]),
-        _mug_cup(corners),
-        _window_facet(vertices, _window_quad(corners, MUG_LOWER_ROW), tube[-1]),
-        _window_facet(vertices, _window_quad(corners, MUG_UPPER_ROW), tube[0]),
-        fan(above, corners[-1]),
-        strip(tube),
-    ]
+    quads = strip(corners).reshape(len(corners) - 1, MUG_SIDES, 2, 3)
+    is_wall = np.ones(quads.shape[:2], dtype=bool)
+    windows = []
+    for row, hole in ((MUG_LOWER_ROW, tube[-1]), (MUG_UPPER_ROW, tube[0])):
+        is_wall[row, 0] = False
+        # facet 0 of the row, from +y +z counter-clockwise, seen from outside
+        quad = corners[[row + 1, row + 1, row, row], [1, 0, 0, 1]]
+        windows.append(_window_facet(vertices, quad, hole))
+    wall = quads[is_wall].reshape(-1, 3)
+    faces = [fan(below, corners[0][::-1]), wall, *windows, fan(above, corners[-1]), strip(tube)]
     return Mesh(vertices, np.concatenate(faces))
-
-
-def _mug_cup(ring: Faces) -> Faces:
-    """Return the strip of the cup's rings without the two facets that are windows."""
-    quads = strip(ring).reshape(len(ring) - 1, MUG_SIDES, 2, 3)
-    kept = np.ones(quads.shape[:2], dtype=bool)
-    kept[[MUG_LOWER_ROW, MUG_UPPER_ROW], 0] = False
-    return quads[kept].reshape(-1, 3)
-
-
-def _window_quad(ring: Faces, row: int) -> Faces:
-    """Return the corners of facet 0 in a row: from +y +z counter-clockwise, seen from outside."""
-    return np.array([ring[row + 1, 1], ring[row + 1, 0], ring[row, 0], ring[row, 1]])
 
 
 def _window_facet(vertices: Floats, quad: Faces, hole: Faces) -> Faces:
@@ -376,14 +336,13 @@ SPATULA_OUTLINES = (
 
 def spatula() -> tuple[Mesh, tuple[Mesh, ...]]:
     """Return surface and convex parts of the spatula."""
-    return loft([_spatula_outline(*row) for row in SPATULA_OUTLINES])
-
-
-def _spatula_outline(
-    x: float, y: float, z: float, half_width: float, half_height: float, power: float
-) -> Floats:
     _, across, up = np.eye(3)
-    return superellipse(np.array([x, y, z]), half_width * across, half_height * up, power)
+    return loft(
+        [
+            superellipse(np.array([x, y, z]), half_width * across, half_height * up, power)
+            for x, y, z, half_width, half_height, power in SPATULA_OUTLINES
+        ]
+    )
 
 
 LICENCE = "Apache-2.0"
@@ -415,84 +374,29 @@ def _box_with_parts(x: float, y: float, z: float) -> Callable[[], SurfaceAndPart
     return build
 
 
-def _ball_with_parts(radius: float) -> Callable[[], SurfaceAndParts]:
+def _tennis_ball() -> SurfaceAndParts:
     """Return a fine sphere as the surface and a coarse one of the same volume for contacts."""
-
-    def build() -> SurfaceAndParts:
-        fine, coarse = geodesic(radius, 8), geodesic(radius, 3)
-        scale = (fine.volume / coarse.volume) ** (1 / 3)
-        return fine, (Mesh(coarse.vertices * scale, coarse.faces),)
-
-    return build
+    fine, coarse = geodesic(0.0647 / 2, 8), geodesic(0.0647 / 2, 3)
+    scale = (fine.volume / coarse.volume) ** (1 / 3)
+    return fine, (Mesh(coarse.vertices * scale, coarse.faces),)
 
 
 ORIGIN = (0.0, 0.0, 0.0)
+CRACKER_BOX = (-0.014543, -0.013973, 0.102630)
+RUBIKS_CUBE = (-0.016184, -0.000449, 0.028548)
+TENNIS_BALL = (0.008233, -0.044192, 0.032887)
+"""Centres of the convex ones: their origins, and centres of mass."""
 STAND_INS = {
-    "banana": StandIn(
-        mass=0.066,
-        com=(0.008573, -0.002315, 0.017070),
-        build=banana,
-        place=(0.075, -0.085, 0.0),
-    ),
-    "bleach_cleanser": StandIn(
-        mass=1.131,
-        com=(-0.017801, 0.011582, 0.100397),
-        build=bleach_cleanser,
-        place=ORIGIN,
-    ),
-    "bowl": StandIn(
-        mass=0.147,
-        com=(-0.014691, -0.044719, 0.025943),
-        build=bowl,
-        place=(-0.0148, -0.0437, -0.0005),
-        turn=9.0,
-    ),
-    "chips_can": StandIn(
-        mass=0.205,
-        com=(-0.006005, 0.011113, 0.122552),
-        build=chips_can,
-        place=(-0.0060, 0.0111, -0.0019),
-    ),
-    "cracker_box": StandIn(
-        mass=0.411,
-        com=(-0.014543, -0.013973, 0.102630),
-        build=_box_with_parts(0.060, 0.160, 0.230),
-        place=(-0.014543, -0.013973, 0.102630),
-    ),
-    "mug": StandIn(
-        mass=0.118,
-        com=(-0.018190, 0.017067, 0.029618),
-        build=mug,
-        place=(-0.0207, 0.0174, -0.0005),
-        turn=-2.5,
-    ),
-    "power_drill": StandIn(
-        mass=0.895,
-        com=(-0.000146, 0.014914, 0.044118),
-        build=power_drill,
-        place=ORIGIN,
-        turn=-57.0,
-    ),
-    "rubiks_cube": StandIn(
-        mass=0.094,
-        com=(-0.016184, -0.000449, 0.028548),
-        build=_box_with_parts(0.057, 0.057, 0.057),
-        place=(-0.016184, -0.000449, 0.028548),
-        turn=27.0,
-    ),
-    "spatula": StandIn(
-        mass=0.0515,
-        com=(-0.034109, -0.081907, 0.013496),
-        build=spatula,
-        place=ORIGIN,
-        turn=-13.5,
-    ),
-    "tennis_ball": StandIn(
-        mass=0.058,
-        com=(0.008233, -0.044192, 0.032887),
-        build=_ball_with_parts(0.0647 / 2),
-        place=(0.008233, -0.044192, 0.032887),
-    ),
+    "banana": StandIn(0.066, (0.008573, -0.002315, 0.017070), banana, (0.075, -0.085, 0.0)),
+    "bleach_cleanser": StandIn(1.131, (-0.017801, 0.011582, 0.100397), bleach_cleanser, ORIGIN),
+    "bowl": StandIn(0.147, (-0.014691, -0.044719, 0.025943), bowl, (-0.0148, -0.0437, -0.0005), turn=9.0),
+    "chips_can": StandIn(0.205, (-0.006005, 0.011113, 0.122552), chips_can, (-0.0060, 0.0111, -0.0019)),
+    "cracker_box": StandIn(0.411, CRACKER_BOX, _box_with_parts(0.060, 0.160, 0.230), CRACKER_BOX),
+    "mug": StandIn(0.118, (-0.018190, 0.017067, 0.029618), mug, (-0.0207, 0.0174, -0.0005), turn=-2.5),
+    "power_drill": StandIn(0.895, (-0.000146, 0.014914, 0.044118), power_drill, ORIGIN, turn=-57.0),
+    "rubiks_cube": StandIn(0.094, RUBIKS_CUBE, _box_with_parts(0.057, 0.057, 0.057), RUBIKS_CUBE, turn=27.0),
+    "spatula": StandIn(0.0515, (-0.034109, -0.081907, 0.013496), spatula, ORIGIN, turn=-13.5),
+    "tennis_ball": StandIn(0.058, TENNIS_BALL, _tennis_ball, TENNIS_BALL),
 }
 """Sizes and masses: Calli et al. 2015. Places and turns: measured on the scans."""
 

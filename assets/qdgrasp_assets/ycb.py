@@ -51,24 +51,13 @@ SCANS: dict[str, Scan] = msgspec.convert(
 )
 
 
-def fetched_folder(name: str) -> Path:
-    """Return the folder of the fetched scan `name` of `SCAN_NAMES`."""
-    return data_folder() / "ycb" / name
-
-
 def fetched_mesh(name: str) -> Path:
-    """Return the path of the unprocessed mesh file in `fetched_folder`."""
-    return fetched_folder(name) / "mesh.ply"
+    """Return the path of the unprocessed mesh file of the fetched scan `name` of `SCAN_NAMES`."""
+    return data_folder() / "ycb" / name / "mesh.ply"
 
 
 def read_fetched(name: str) -> Mesh:
-    """Read the mesh of a fetched scan, corrected by `correct_mesh`.
-
-    Raises
-    ------
-    AssetError
-        It cannot be read.
-    """
+    """Read the mesh of a fetched scan, corrected by `correct_mesh`."""
     return correct_mesh(read_mesh(fetched_mesh(name)), SCANS[name])
 
 
@@ -140,32 +129,23 @@ class ArchivePin(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
             ("sha256", "sha256 {}"),
             ("mesh_sha256", "mesh sha256 {}"),
         ):
-            known, came = getattr(self, field), getattr(other, field)
-            if None not in (known, came) and known != came:
-                return f"expected {words.format(known)}, got {words.format(came)}"
+            known, other_value = getattr(self, field), getattr(other, field)
+            if None not in (known, other_value) and known != other_value:
+                return f"expected {words.format(known)}, got {words.format(other_value)}"
         return None
 
 
-UNKNOWN_PIN = ArchivePin()
-
-
 def users_lock() -> Path:
-    """Return the path of the user's lock file, which `keep` writes."""
+    """Return the path of the user's lock file, which `write_pin` writes."""
     return data_folder() / "lock.toml"
 
 
 def read_pin(archive: str) -> ArchivePin:
     """Return the pin of an archive: this package's, else that of the user's earlier fetch.
 
-    Raises
-    ------
-    AssetError
-        The user's lock file cannot be read.
+    Raises `AssetError` if the user's lock file cannot be read.
     """
-    return next(
-        (pins[archive] for pins in (_read_lock(BUILT_IN_LOCK), _read_lock(users_lock())) if archive in pins),
-        UNKNOWN_PIN,
-    )
+    return {**_read_lock(users_lock()), **_read_lock(BUILT_IN_LOCK)}.get(archive, ArchivePin())
 
 
 def write_pin(archive: str, found: ArchivePin) -> Path:
@@ -224,76 +204,42 @@ def scan_source(name: str) -> str:
 def read_scan(name: str, protocol: str) -> ObjectModel:
     """Read the scan `name` of `SCAN_NAMES`; its CoM is the inertial origin of the authors' URDF.
 
-    The mass is the YCB table's, in `released` the authors' (the banana weighs 1 kg there).
-
-    Raises
-    ------
-    AssetError
-        The scan is not there or broken, or `released` needs what a fetched one does not have.
+    The mass is the YCB table's, in `released` the authors' (the banana weighs 1 kg there); a fetched scan has
+    mass and CoM of the stand-in, which are the scan's. Raises `AssetError` if the scan is not there or
+    broken, or `released` needs what a fetched one does not have.
     """
+    check_there(name)
     folder = _reference_folder(name)
     if folder is not None:
-        return _reference_scan(name, folder, protocol)
-    check_there(name)
-    if protocol == "released":
+        entry = _reference_entry(folder)
+        source = collision_source = "asset path"
+        mass = entry.urdf_mass_kg if protocol == "released" else entry.ycb_table_mass_kg
+        com, mesh = entry.inertial_origin_xyz, read_solid(folder / entry.paper_visual_here)
+        parts = read_parts(folder / "collision_vhacd.obj")
+    elif protocol == "released":
         raise AssetError(
             "The protocol 'released' needs the collision hulls of the reference data, which the fetched scan "
             f"'{name}' does not have: {searched()}; use the protocol 'paper'."
         )
-    return _downloaded_scan(name)
-
-
-def check_there(name: str) -> None:
-    """Check that the scan `name` of `SCAN_NAMES` is there.
-
-    Raises
-    ------
-    AssetError
-        It is not.
-    """
-    if _reference_folder(name) is None and not fetched_mesh(name).is_file():
-        raise AssetError(
-            f"The object '{name}' is a scan of the reference data (objects/{name.removeprefix(PREFIX)}), "
-            f"which is not there: {searched()}; `qdgrasp asset fetch {name}` fetches it from the YCB set."
-        )
-
-
-def _reference_folder(name: str) -> Path | None:
-    return on_asset_path(f"objects/{name.removeprefix(PREFIX)}")
-
-
-def _reference_scan(name: str, folder: Path, protocol: str) -> ObjectModel:
-    entry = _reference_entry(folder)
+    else:
+        same = STAND_INS[name.removeprefix(PREFIX)]
+        source, mass, com = "fetched", same.mass, same.com
+        mesh = read_fetched(name)
+        collision_source, parts = collision_parts(mesh, name)
     return ObjectModel(
         name=name,
-        source="asset path",
-        licence=LICENCE,
-        collision_source="asset path",
-        mass=entry.urdf_mass_kg if protocol == "released" else entry.ycb_table_mass_kg,
-        mesh=read_solid(folder / entry.paper_visual_here),
-        parts=read_parts(folder / "collision_vhacd.obj"),
-        com_in_mesh=np.array(entry.inertial_origin_xyz),
-    )
-
-
-def _downloaded_scan(name: str) -> ObjectModel:
-    """Return a fetched scan with the stand-in's mass and CoM, which are the scan's."""
-    same = STAND_INS[name.removeprefix(PREFIX)]
-    mesh = read_fetched(name)
-    collision_source, parts = collision_parts(mesh, name)
-    return ObjectModel(
-        name=name,
-        source="fetched",
+        source=source,
         licence=LICENCE,
         collision_source=collision_source,
-        mass=same.mass,
+        mass=mass,
         mesh=mesh,
         parts=parts,
-        com_in_mesh=np.array(same.com),
+        com_in_mesh=np.array(com),
     )
 
 
 def _reference_entry(folder: Path) -> ReferenceEntry:
+    """Read the entry of the scan in `folder` from the reference data's table."""
     index = folder.parent / "objects.json"
     try:
         return convert(json.loads(index.read_text(encoding="utf-8"))[folder.name], ReferenceEntry)
@@ -303,3 +249,16 @@ def _reference_entry(folder: Path) -> ReferenceEntry:
         ) from None
     except (ValueError, KeyError, ValidationError) as error:
         raise AssetError(f"'{index}' does not describe '{folder.name}': {error}.") from None
+
+
+def check_there(name: str) -> None:
+    """Check that the scan `name` of `SCAN_NAMES` is there; `AssetError` if it is not."""
+    if _reference_folder(name) is None and not fetched_mesh(name).is_file():
+        raise AssetError(
+            f"The object '{name}' is a scan of the reference data (objects/{name.removeprefix(PREFIX)}), "
+            f"which is not there: {searched()}; `qdgrasp asset fetch {name}` fetches it from the YCB set."
+        )
+
+
+def _reference_folder(name: str) -> Path | None:
+    return on_asset_path(f"objects/{name.removeprefix(PREFIX)}")

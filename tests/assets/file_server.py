@@ -41,7 +41,7 @@ Behaviour = Callable[[Answer, "Site"], None]
 
 @dataclass
 class Site:
-    """What is served, how the next requests are answered, and what was asked."""
+    """The served content, behaviours for the next requests, and the requests so far."""
 
     content: bytes = b""
     etag: str | None = '"one"'

@@ -1,4 +1,4 @@
-"""What can be in the place of a file, and can be waited for or read for ever."""
+"""Special files in the place of a mesh, which would be waited for or read for ever."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Which genes priors have, and where they can bring the hand."""
+"""Genes of priors, and the boxes to which they bring the hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Mesh files as objects: what is taken, what is put right, and what is refused in one sentence."""
+"""Mesh files as objects: accepted, repaired, or refused in one sentence."""
 
 import logging
 from itertools import pairwise

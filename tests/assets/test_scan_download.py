@@ -20,7 +20,6 @@ from qdgrasp_assets.ycb import (
     ArchivePin,
     correct_mesh,
     drop_folded,
-    fetched_folder,
     fetched_mesh,
     read_pin,
     scan_differences,
@@ -54,7 +53,7 @@ def tgz(content: bytes, member: str = MEMBER, *others: tarfile.TarInfo) -> bytes
 
 
 def of(mesh: trimesh.Trimesh) -> dict:
-    """What the catalog says of a mesh."""
+    """Entry of the catalog for a mesh."""
     return {
         "extents": tuple(mesh.extents),
         "low": tuple(mesh.bounds[0]),
@@ -81,7 +80,7 @@ def bring(site, name: str = NAME) -> scan_download.FetchedScan:
 
 
 def is_clean() -> bool:
-    """Whether nothing of a refused scan is left, in the data folder or in the lock."""
+    """True if a refused scan left nothing in the data folder or in the lock."""
     return (
         ycb.scan_source(NAME) == "absent"
         and read_pin(ARCHIVE) == ArchivePin()
@@ -103,7 +102,7 @@ def test_a_scan_without_a_known_hash_is_accepted_on_its_geometry_and_the_user_is
     assert "no hash of its archive was known" in done.sentence
     assert found in done.sentence
     assert str(ycb.users_lock()) in done.sentence
-    assert "CC BY 4.0" in (fetched_folder(NAME) / "ATTRIBUTION.txt").read_text()
+    assert "CC BY 4.0" in fetched_mesh(NAME).with_name("ATTRIBUTION.txt").read_text()
     assert list(archived().iterdir()) == []
 
 

@@ -83,7 +83,7 @@ class FreeJointLinks:
         still = {self._root}
         self.are_still = not free & driven
         """Whether all of them stand still: neither free joints nor joints below them are driven."""
-        for joint in skeleton.robot.outward(self._root):
+        for joint in skeleton.robot.joints_beyond(self._root):
             below, is_free = self.under[joint.parent], joint.name in free
             self.under[joint.child] = joint.child if is_free else below
             if joint.parent in still and (is_free or joint.name not in names):

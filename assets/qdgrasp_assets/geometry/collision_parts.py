@@ -1,9 +1,10 @@
 """Convex collision parts of a mesh: as few as leave a finger its clearance.
 
-One hull where that will do, else what CoACD finds, coarse to fine (docs/decisions/parts-leave-room.md).
-What parts fill beyond the mesh, no finger can reach: the hollow of a mug and the eye of its handle are what
-most of its grasps need. CoACD runs in a process of its own, which can be given up; run as a module (`python
--m qdgrasp_assets.geometry.collision_parts IN.npz THRESHOLD OUT.obj`) this is that process.
+One hull where that will do, else what CoACD finds, coarse to fine
+(docs/decisions/0008-collision-decomposition.md). What parts fill beyond the mesh, no finger can reach: the
+hollow of a mug and the eye of its handle are what most of its grasps need. CoACD runs in a process of its
+own, which can be given up; run as a module (`python -m qdgrasp_assets.geometry.collision_parts IN.npz
+THRESHOLD OUT.obj`) this is that process.
 
 Parts are cached on disk: an OBJ file that ends with the digest of what stands before, or counts as none.
 The last line is a remark, which readers of OBJ files leave aside.
@@ -18,7 +19,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -71,7 +73,7 @@ class FingerClearance:
 
     def fit(self, parts: tuple[Mesh, ...]) -> PartsFit:
         """Return the fit of convex `parts`, in the frame of the mesh."""
-        filled = np.any([is_within(part, self._free, 0.0) for part in parts], axis=0)
+        filled = np.any([is_within(part, self._clear_points, 0.0) for part in parts], axis=0)
         covered = np.any([is_within(part, self._points, OFF) for part in parts], axis=0)
         return PartsFit(float(filled.mean()) if len(filled) else 0.0, float(1.0 - covered.mean()))
 
@@ -87,8 +89,8 @@ class FingerClearance:
         return inside_count(self._mesh, self._points + OUT * self._normals, self._normals) > 0
 
     @cached_property
-    def _free(self) -> Floats:
-        """Points (n, 3) [m], `AHEAD` in front of the surface, that are in free space."""
+    def _clear_points(self) -> Floats:
+        """Points (n, 3) [m], `AHEAD` in front of the surface, in free space."""
         clear = ray_distance(self._mesh, self._points + LIFT * self._normals, self._normals) > CLEAR
         if self.inside:
             clear &= ~self._inside
@@ -107,66 +109,9 @@ def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
     return within
 
 
-def read_cached_parts(file: Path) -> tuple[Mesh, ...] | None:
-    """Read the parts in a file of `keep`; None if it is missing or not whole."""
-    return read_parts(file) if not path_problem(file) and _is_whole(file) else None
-
-
-def write_cached_parts(parts: Iterable[Mesh], target: Path, name: str) -> tuple[Mesh, ...]:
-    """Write parts to `target`, whole or not at all; returns them as read back from the file.
-
-    Raises
-    ------
-    AssetError
-        They cannot be written; `name` is what they are parts of.
-    """
-    content = parts_to_obj(parts)
-    try:
-        with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-            file = Path(folder) / target.name
-            with file.open("wb") as stream:
-                stream.write(content + _digest_line(content))
-                stream.flush()
-                os.fsync(stream.fileno())
-            file.replace(target)
-        return read_parts(target)
-    except OSError as error:
-        raise _not_cached(target.parent, name, error) from None
-
-
-def make_cache_folder(folder: Path, name: str) -> None:
-    """Make the folder of the parts of `name`.
-
-    Raises
-    ------
-    AssetError
-        It cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _not_cached(folder, name, error) from None
-
-
-def _is_whole(file: Path) -> bool:
-    try:
-        content = file.read_bytes()
-    except OSError:
-        return False
-    start = content.rfind(b"#")
-    return start > 0 and content[start:] == _digest_line(content[:start])
-
-
 def _digest_line(content: bytes) -> bytes:
-    """Return the last line of a file: the digest of the lines before."""
+    """Return the last line of a cached file: the digest of the lines before."""
     return f"# sha256 {hashlib.sha256(content).hexdigest()}\n".encode()
-
-
-def _not_cached(folder: Path, name: str, error: OSError) -> AssetError:
-    return AssetError(
-        f"The convex parts of '{name}' cannot be kept in '{folder}': {error.strerror or error}; "
-        "name another folder with QDGRASP_CACHE."
-    )
 
 
 CORNER_TOLERANCE = 5e-4  # A corner that is not farther outside the hull of others is left out [m]
@@ -192,59 +137,43 @@ class DecompositionTimeout(AssetError):
 def decompose(mesh: Mesh, name: str, threshold: float, time_limit: float) -> tuple[Mesh, ...]:
     """Decompose a mesh into convex parts that together fill it, with few corners each.
 
-    Parameters
-    ----------
-    mesh
-        A closed surface [m]; one or several bodies.
-    name
-        How errors call it.
-    threshold
-        CoACD's concavity: the smaller, the more parts.
-    time_limit
-        How long it may take [s].
-
-    Raises
-    ------
-    TookTooLong
-        It took longer.
-    AssetError
-        CoACD failed.
+    `mesh` is a closed surface [m], one or several bodies, called `name` in errors. `threshold` is CoACD's
+    concavity: the smaller, the more parts. Raises `DecompositionTimeout` after `time_limit` [s], and
+    `AssetError` if CoACD fails.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as folder:
         given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
         np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
-        _run_decomposition([str(given), str(threshold), str(found)], name, time_limit)
+        command = [sys.executable, "-m", __spec__.name, str(given), str(threshold), str(found)]
+        with (
+            tempfile.TemporaryFile() as errors,  # not a pipe, which would fill while it is not read
+            subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors
+            ) as process,
+        ):
+            try:
+                process.wait(max(0.0, time_limit))
+            except subprocess.TimeoutExpired:
+                raise DecompositionTimeout(name, time_limit) from None
+            finally:
+                process.kill()
+            if process.returncode:
+                errors.seek(0)
+                last = " ".join(errors.read().decode(errors="replace").split())[-200:]
+                raise AssetError(
+                    f"CoACD could not decompose the mesh '{name}' into convex parts (exit code "
+                    f"{process.returncode}): {last or 'it says nothing'}."
+                )
         if not found.is_file():
             raise AssetError(f"CoACD found no convex parts of the mesh '{name}'.")
         return read_parts(found)
-
-
-def _run_decomposition(arguments: list[str], name: str, time_limit: float) -> None:
-    command = [sys.executable, "-m", __spec__.name, *arguments]
-    with (
-        tempfile.TemporaryFile() as said,  # not a pipe, which would fill while nobody reads it
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said) as process,
-    ):
-        try:
-            process.wait(max(0.0, time_limit))
-        except subprocess.TimeoutExpired:
-            raise DecompositionTimeout(name, time_limit) from None
-        finally:
-            process.kill()
-        if process.returncode:
-            said.seek(0)
-            last = " ".join(said.read().decode(errors="replace").split())[-200:]
-            raise AssetError(
-                f"CoACD could not decompose the mesh '{name}' into convex parts (exit code "
-                f"{process.returncode}): {last or 'it says nothing'}."
-            )
 
 
 def simplify_part(part: Mesh) -> Mesh:
     """Simplify a convex part so that no corner left out is farther outside than the tolerance.
 
     Greedy: it begins with the corners that are farthest in a few directions, and adds the one that is
-    farthest outside the hull so far, until all are within the tolerance, or it has `CORNERS`.
+    farthest outside the hull so far, until all are within the tolerance, or it has `MOST_CORNERS`.
     """
     corners = part.vertices
     blocks = [corners[start : start + CORNERS_AT_ONCE] for start in range(0, len(corners), CORNERS_AT_ONCE)]
@@ -267,30 +196,23 @@ def _outermost(corners: Floats) -> list[int]:
 
 def main() -> None:
     """Decompose the mesh in the first file into the last; exit when the parent process is gone."""
+    import coacd
+
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    threading.Thread(target=_end_with_starter, daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    coacd.set_log_level("error")
     given = np.load(sys.argv[1], allow_pickle=False)
-    parts = [
-        simplify_part(hull(points))
-        for points in _run_coacd(given["vertices"], given["faces"], float(sys.argv[2]))
-    ]
+    mesh = coacd.Mesh(given["vertices"], given["faces"])
+    found = coacd.run_coacd(mesh, threshold=float(sys.argv[2]), mcts_iterations=COACD_ITERATIONS, seed=0)
+    parts = [simplify_part(hull(np.asarray(points, dtype=np.float64))) for points, _ in found]
     Path(sys.argv[3]).write_bytes(parts_to_obj(parts))
 
 
-def _end_with_starter() -> None:
+def _end_with_parent() -> None:
     """Exit once standard input, whose other end the parent process holds, is closed."""
     while os.read(0, 1024):
         pass
     os._exit(1)
-
-
-def _run_coacd(vertices: Floats, faces: Floats, threshold: float) -> list[Floats]:
-    import coacd
-
-    coacd.set_log_level("error")
-    mesh = coacd.Mesh(vertices, faces)
-    parts = coacd.run_coacd(mesh, threshold=threshold, mcts_iterations=COACD_ITERATIONS, seed=0)
-    return [np.asarray(points, dtype=np.float64) for points, _ in parts]
 
 
 log = logging.getLogger(__name__)
@@ -307,13 +229,14 @@ def ignore_progress(_sentence: str) -> None:
     """Ignore a progress message."""
 
 
-def convex_parts(
+def collision_parts(
     mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = ignore_progress
-) -> tuple[Mesh, ...]:
-    """Return convex parts that together stand for a mesh, in its frame; deterministic.
+) -> tuple[str, tuple[Mesh, ...]]:
+    """Return the source, "own hull" or "coacd", and the convex parts that stand for a mesh.
 
-    Where no parts fit, or time runs out, the finest that were found are taken, with a warning. Those for
-    which time ran out are not kept on disk.
+    They are in the mesh's frame, and deterministic. Where no parts fit, or time runs out, the finest that
+    were found are taken, with a warning. Those for which time ran out are not kept on disk. Raises
+    `AssetError` if CoACD failed, or found nothing in time; or the parts cannot be kept.
 
     Parameters
     ----------
@@ -325,44 +248,10 @@ def convex_parts(
         Time limit for CoACD [s].
     tell
         Called with a sentence before each attempt.
-
-    Raises
-    ------
-    AssetError
-        CoACD failed, or found nothing in time; or the parts cannot be kept.
     """
-    return collision_parts(mesh, name, time_limit, tell)[1]
-
-
-def collision_parts(
-    mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = ignore_progress
-) -> tuple[str, tuple[Mesh, ...]]:
-    """Return the source of a mesh's convex parts, "own hull" or "coacd", and the parts."""
-    known = _cached_parts(mesh)
-    if known is None and is_convex(mesh):
-        return "own hull", (_own_hull(mesh),)
-    return "coacd", _coacd_parts(mesh, name, time_limit, tell) if known is None else known
-
-
-def available_parts(mesh: Mesh) -> tuple[Mesh, ...] | None:
-    """Return the parts of `convex_parts` if that takes no time; None: CoACD has not run yet."""
-    known = _cached_parts(mesh)
-    return (_own_hull(mesh),) if known is None and is_convex(mesh) else known
-
-
-def _cached_parts(mesh: Mesh) -> tuple[Mesh, ...] | None:
-    """Return the parts that CoACD found before; None: it has not run."""
-    kept = read_cached_parts(_cache_file(mesh))
-    return _unfinished.get(_cache_key(mesh)) if kept is None else kept
-
-
-def _own_hull(mesh: Mesh) -> Mesh:
-    """Return the hull of a mesh that is convex."""
-    return simplify_part(hull(mesh.vertices))
-
-
-def _coacd_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[Mesh, ...]:
-    """Decompose a mesh with CoACD, and keep the parts on disk."""
+    known = _known_parts(mesh)
+    if known is not None:
+        return known
     cached = _cache_file(mesh)
     log.warning(
         "Decomposing '%s' (%d triangles) into convex parts, once%s; this takes up to a few minutes.",
@@ -370,55 +259,92 @@ def _coacd_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[
         len(mesh.faces),
         f" again, as '{cached}' does not hold them whole" if cached.exists() else "",
     )
-    make_cache_folder(cached.parent, name)
+    with _keeping(cached.parent, name):
+        cached.parent.mkdir(parents=True, exist_ok=True)
     parts, is_final = _coarsest_parts(mesh, name, time_limit, tell)
     if not is_final:
-        return _unfinished.setdefault(_cache_key(mesh), parts)
-    return write_cached_parts(parts, cached, name)
+        return "coacd", _unfinished.setdefault(_cache_key(mesh), parts)
+    content = parts_to_obj(parts)
+    with _keeping(cached.parent, name), tempfile.TemporaryDirectory(dir=cached.parent) as folder:
+        file = Path(folder) / cached.name
+        with file.open("wb") as stream:
+            stream.write(content + _digest_line(content))
+            stream.flush()
+            os.fsync(stream.fileno())
+        file.replace(cached)
+    return "coacd", read_parts(cached)
 
 
-def is_convex(mesh: Mesh) -> bool:
-    """Return whether a mesh is convex for a finger: its hull leaves the same free space."""
-    return FingerClearance(mesh).fit((hull(mesh.vertices),)).is_good
+def available_parts(mesh: Mesh) -> tuple[Mesh, ...] | None:
+    """Return the parts of `collision_parts` if that takes no time; None: CoACD has not run yet."""
+    known = _known_parts(mesh)
+    return None if known is None else known[1]
+
+
+def _known_parts(mesh: Mesh) -> tuple[str, tuple[Mesh, ...]] | None:
+    """Return source and parts that CoACD need not run for: found before, or the mesh's own hull."""
+    file, key = _cache_file(mesh), _cache_key(mesh)
+    if not path_problem(file) and _is_whole(file):
+        return "coacd", read_parts(file)
+    if key in _unfinished:
+        return "coacd", _unfinished[key]
+    own = hull(mesh.vertices)
+    # convex for a finger: the hull leaves the same free space
+    return ("own hull", (simplify_part(own),)) if FingerClearance(mesh).fit((own,)).is_good else None
 
 
 def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[tuple[Mesh, ...], bool]:
     """Return the fewest parts that fit, or the last found; and whether there was time for all."""
     space, deadline = FingerClearance(mesh), time.monotonic() + time_limit
     found: tuple[Mesh, ...] = ()
-    for turn, threshold in enumerate(COACD_THRESHOLDS, start=1):
-        tell(f"convex parts with a concavity of {threshold:g} ({turn} of at most {len(COACD_THRESHOLDS)})")
+    is_final, reason = True, "finer ones are not tried"
+    for number, threshold in enumerate(COACD_THRESHOLDS, start=1):
+        tell(f"convex parts with a concavity of {threshold:g} ({number} of at most {len(COACD_THRESHOLDS)})")
         try:
             found = decompose(mesh, name, threshold, deadline - time.monotonic())
         except DecompositionTimeout:
             if not found:
                 raise DecompositionTimeout(name, time_limit) from None
-            _warn_of_misfit(
-                name, found, space, "there was no time for finer ones, which the next command tries again"
-            )
-            return found, False
+            is_final, reason = False, "there was no time for finer ones, which the next command tries again"
+            break
         if space.fit(found).is_good:
             return found, True
-    _warn_of_misfit(name, found, space, "finer ones are not tried")
-    return found, True
-
-
-def _warn_of_misfit(name: str, parts: tuple[Mesh, ...], space: FingerClearance, reason: str) -> None:
-    """Warn of parts that do not fit: their effect on grasps, and the reason."""
-    fit = space.fit(parts)
+    fit = space.fit(found)
     log.warning(
         "The %d convex parts of '%s' fill the room in front of %.0f %% of its surface, and leave %.0f %% "
         "of it out, where grasps may be lost; %s.",
-        len(parts),
+        len(found),
         name,
         100 * fit.filled,
         100 * fit.bare,
         reason,
     )
+    return found, is_final
+
+
+@contextmanager
+def _keeping(folder: Path, name: str) -> Iterator[None]:
+    """Raise an `AssetError` where the parts of `name` cannot be written to the cache's folder."""
+    try:
+        yield
+    except OSError as error:
+        raise AssetError(
+            f"The convex parts of '{name}' cannot be kept in '{folder}': {error.strerror or error}; "
+            "name another folder with QDGRASP_CACHE."
+        ) from None
+
+
+def _is_whole(file: Path) -> bool:
+    """Return whether a cached file ends with the digest of what stands before."""
+    try:
+        content = file.read_bytes()
+    except OSError:
+        return False
+    start = content.rfind(b"#")
+    return start > 0 and content[start:] == _digest_line(content[:start])
 
 
 def _cache_file(mesh: Mesh) -> Path:
-    """Return the path of the file that this mesh's parts are kept in."""
     return cache_folder() / "convex" / f"{_cache_key(mesh)}.obj"
 
 

@@ -5,7 +5,7 @@ a hull of each; a material begins none.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -35,10 +35,7 @@ class ObjFile:
 def read_obj(text: str) -> ObjFile:
     """Read an OBJ file; faces of more than three corners become fans of triangles.
 
-    Raises
-    ------
-    ValueError, IndexError
-        It is none.
+    Raises `ValueError` or `IndexError` for other text.
     """
     vertices: list[list[float]] = []
     groups: list[list[tuple[int, int, int]]] = [[]]
@@ -47,21 +44,13 @@ def read_obj(text: str) -> ObjFile:
         if word == "v":
             vertices.append([float(value) for value in values[:3]])
         elif word == "f":
-            groups[-1] += _fan([_obj_index(value, len(vertices)) for value in values])
+            # a corner such as 7/1/3 begins with its vertex; negative numbers count from the end
+            numbers = [int(value.split("/")[0]) for value in values]
+            first, *rest = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
+            groups[-1] += ((first, a, b) for a, b in pairwise(rest))
         elif OBJ_GROUP.match(line):
             groups.append([])
     return ObjFile(np.array(vertices).reshape(-1, 3), tuple(np.array(group) for group in groups if group))
-
-
-def _obj_index(value: str, known: int) -> int:
-    """Return the vertex index of a corner such as `7/1/3`; negative numbers count from the end."""
-    number = int(value.split("/")[0])
-    return number - 1 if number > 0 else known + number
-
-
-def _fan(corners: list[int]) -> Iterator[tuple[int, int, int]]:
-    first, *rest = corners
-    return ((first, a, b) for a, b in pairwise(rest))
 
 
 STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
@@ -185,28 +174,19 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 def read_parts(path: Path) -> tuple[Mesh, ...]:
     """Read the convex parts in an OBJ file, one for each group, in the file's order.
 
-    Raises
-    ------
-    AssetError
-        It is not there or not such a file.
+    Raises `AssetError` if the file is not there or not of that kind.
     """
+    parts = []
     try:
-        return _parts(path.read_text(encoding="utf-8"))
+        read = read_obj(path.read_text(encoding="utf-8"))
+        for group in read.groups:
+            used, local = np.unique(group, return_inverse=True)
+            parts.append(Mesh(read.vertices[used], local.reshape(-1, 3)))
     except OSError as error:
         raise AssetError(f"No convex parts can be read at '{path}': {error.strerror or error}.") from None
     except (ValueError, IndexError) as error:
         raise AssetError(f"'{path}' is not an OBJ file of convex parts: {error}.") from None
-
-
-def _parts(text: str) -> tuple[Mesh, ...]:
-    read = read_obj(text)
-    return tuple(_part(read.vertices, group) for group in read.groups)
-
-
-def _part(vertices: Floats, faces: NDArray[np.int64]) -> Mesh:
-    """Return a part with its own vertices only."""
-    used, local = np.unique(faces, return_inverse=True)
-    return Mesh(vertices[used], local.reshape(-1, 3))
+    return tuple(parts)
 
 
 def parts_to_obj(parts: Iterable[Mesh]) -> bytes:

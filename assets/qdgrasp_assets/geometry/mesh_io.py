@@ -3,13 +3,14 @@
 A file is read as one mesh in its own unit; the scale multiplies its coordinates to metres.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
-from qdgrasp_assets.asset_paths import A_FOLDER, path_problem
+from qdgrasp_assets.asset_paths import A_FOLDER, SPECIAL, path_problem
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 
@@ -25,17 +26,14 @@ ROUNDING = 1e-6  # Relative difference below which two scales are the same
 def scale_of(units: str | None, scale: float | None) -> float | None:
     """Return the scale of --units or --scale; None where neither is given.
 
-    Raises
-    ------
-    UnknownName, ImpossibleValue, InputError
-        There is no such unit, no mesh has that scale, or both are given.
+    Raises `UnknownName`, `ImpossibleValue` or `InputError` if there is no such unit, no mesh has that scale,
+    or both are given.
     """
     if scale is not None and not 0 < scale <= LARGEST_SCALE:
-        expected = (
-            f"a number greater than 0 and at most {LARGEST_SCALE} (metres to a unit of "
-            "the mesh file: 0.001 for mm)"
+        unit = "metres to a unit of the mesh file: 0.001 for mm"
+        raise ImpossibleValue(
+            "--scale", scale, f"a number greater than 0 and at most {LARGEST_SCALE} ({unit})"
         )
-        raise ImpossibleValue("--scale", scale, expected)
     if units is None:
         return scale
     if units not in UNITS:
@@ -69,19 +67,8 @@ def scale_advice(largest: float) -> str:
 def check_stated(name: str, stated: float | None, scale: float | None) -> None:
     """Check that the unit a file states is the one it is read in.
 
-    Parameters
-    ----------
-    name
-        The file's.
-    stated
-        Metres to a unit, as the file says; None: it says nothing.
-    scale
-        What the user says; None: nothing, so that it would be read in metres.
-
-    Raises
-    ------
-    AssetError
-        The file says another unit than metres, and the user says nothing.
+    `stated` is metres to a unit as the file says, `scale` as the user says; None: not said. Raises
+    `AssetError` if the file says another unit than metres, and the user says nothing.
     """
     if stated is None or scale is not None or abs(stated - 1) < ROUNDING:
         return
@@ -129,13 +116,10 @@ def read_mesh(path: Path) -> Mesh:
 def read_mesh_file(path: Path) -> MeshFile:
     """Read a mesh file, without further checks.
 
-    Raises
-    ------
-    AssetError
-        It is not there, no mesh of a format that can be read here, or empty.
+    Raises `AssetError` if it is not there, no mesh of a format that can be read here, or empty.
     """
     check_file(path)
-    scene = _loaded(path)
+    scene = _load_scene(path)
     geometries = [found for found in scene.geometry.values() if hasattr(found, "faces")]
     if not all(np.isfinite(found.vertices).all() for found in geometries):
         raise AssetError(
@@ -151,40 +135,43 @@ def read_mesh_file(path: Path) -> MeshFile:
             f"The mesh '{path}' is empty, or no {path.suffix} file: it has no triangles; an object needs a "
             "surface, and points or lines alone are none."
         )
-    return MeshFile(mesh, len(scene.graph.nodes_geometry), _unit(scene))
+    from trimesh.units import unit_conversion
+
+    unit = None  # GLB has no other than metres
+    with suppress(KeyError, ValueError):
+        unit = float(unit_conversion(scene.units, "meters")) if scene.units else None
+    return MeshFile(mesh, len(scene.graph.nodes_geometry), unit)
 
 
-def check_file(path: Path) -> None:
-    """Check that a file exists and is not empty.
-
-    Raises
-    ------
-    AssetError
-        It is a folder, a pipe or a device, not there, has no bytes, or too many.
-    """
-    if why := path_problem(path):
-        raise AssetError(_of_folder(path) if why == A_FOLDER else _not_there(path, why))
-    size = path.stat().st_size
-    if not size:
-        raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
-    if size > LARGEST_FILE:
-        raise AssetError(
-            f"The mesh '{path}' has {size} bytes, and at most {LARGEST_FILE >> 30} GiB are "
-            "read: simplify it; "
-            "20 000 triangles show a finger as much."
-        )
-
-
-def _loaded(path: Path) -> Any:
+def _load_scene(path: Path) -> Any:
     """Load the file with trimesh, as an unprocessed scene of its geometries."""
     import trimesh
     from trimesh.exchange.load import mesh_formats
+    from trimesh.resolvers import FilePathResolver
 
-    from qdgrasp_assets.geometry.referenced_files import SiblingFileResolver
+    class SiblingFileResolver(FilePathResolver):
+        """Materials, textures and buffers beside the mesh file; pipes and devices are never opened."""
+
+        def get(self, name: str) -> bytes:
+            plain = name.strip()
+            for tried in (plain, plain.lstrip("/"), PurePath(plain).name):
+                if (why := path_problem(Path(self.parent, tried))) in (A_FOLDER, SPECIAL):
+                    raise OSError(f"'{name}', which it names, {why}")
+            content: bytes = super().get(name)
+            return content
 
     kind = path.suffix.lower()
     if kind.removeprefix(".") not in mesh_formats():
-        raise AssetError(_not_read(path, kind))
+        if packages := FORMAT_PACKAGES.get(kind):
+            raise AssetError(
+                f"The mesh '{path}' cannot be read: {kind} needs {packages}, which is not installed; "
+                f"`pip install {packages.replace(' and', '')}`, or export it as STL, OBJ, PLY or GLB."
+            )
+        raise AssetError(
+            f"The mesh '{path}' cannot be read: '{kind}' is not among the formats "
+            f"{', '.join(READABLE_FORMATS)} ({', '.join(FORMAT_PACKAGES)} with packages of their own); "
+            "export it as one of these."
+        )
     try:
         return trimesh.load_scene(path, process=False, resolver=SiblingFileResolver(str(path)))
     except ImportError:  # a package that guesses what damaged text was meant to be
@@ -198,46 +185,34 @@ def _loaded(path: Path) -> Any:
         ) from None
 
 
-def _of_folder(path: Path) -> str:
-    return (
-        f"'{path}' is a folder, and an object is one mesh file; `qdgrasp campaign --objects {path}` takes "
-        "every mesh in a folder."
-    )
+def check_file(path: Path) -> None:
+    """Check that a file exists and is not empty.
 
-
-def _not_there(path: Path, why: str) -> str:
-    return (
-        f"No mesh file at '{path}': it {why}; name a file such as those that end with "
-        f"{', '.join(READABLE_FORMATS)}."
-    )
-
-
-def _not_read(path: Path, kind: str) -> str:
-    if kind in FORMAT_PACKAGES:
-        return (
-            f"The mesh '{path}' cannot be read: {kind} needs {FORMAT_PACKAGES[kind]}, which "
-            "is not installed; "
-            f"`pip install {FORMAT_PACKAGES[kind].replace(' and', '')}`, or export it as STL, "
-            "OBJ, PLY or GLB."
+    Raises `AssetError` for a folder, a pipe or a device, and a file that is not there, has no bytes, or too
+    many.
+    """
+    if why := path_problem(path):
+        if why == A_FOLDER:
+            raise AssetError(
+                f"'{path}' is a folder, and an object is one mesh file; `qdgrasp campaign --objects {path}` "
+                "takes every mesh in a folder."
+            )
+        raise AssetError(
+            f"No mesh file at '{path}': it {why}; name a file such as those that end with "
+            f"{', '.join(READABLE_FORMATS)}."
         )
-    return (
-        f"The mesh '{path}' cannot be read: '{kind}' is not among the formats {', '.join(READABLE_FORMATS)} "
-        f"({', '.join(FORMAT_PACKAGES)} with packages of their own); export it as one of these."
-    )
-
-
-def _unit(scene: Any) -> float | None:
-    """Return metres to the file's unit; GLB has no other than metres."""
-    from trimesh.units import unit_conversion
-
-    try:
-        return float(unit_conversion(scene.units, "meters")) if scene.units else None
-    except (KeyError, ValueError):
-        return None
+    size = path.stat().st_size
+    if not size:
+        raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
+    if size > LARGEST_FILE:
+        raise AssetError(
+            f"The mesh '{path}' has {size} bytes, and at most {LARGEST_FILE >> 30} GiB are read: "
+            "simplify it; 20 000 triangles show a finger as much."
+        )
 
 
 def to_bytes(mesh: Mesh, suffix: str) -> bytes:
-    """Return a mesh as a file of one of the formats `WRITTEN`, in its own unit."""
+    """Return a mesh as a file of one of `WRITABLE_FORMATS`, in its own unit."""
     import trimesh
 
     content: Any = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(

@@ -4,6 +4,7 @@ Checks say all that is wrong in words; each repair changes what it must, and say
 closed surface already is left as it is, to the last bit: whatever was found with it is found again.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,14 +32,7 @@ def surface_faults(mesh: Mesh) -> tuple[str, ...]:
             "simplify it, for example to "
             "20 000 (quadric edge collapse decimation in MeshLab)",
         )
-    edges = MeshEdges(mesh)
-    checks = (
-        _of_no_hands_size(mesh),
-        _open_fault(edges),
-        _winding_fault(edges),
-        _without_inside(mesh, edges),
-    )
-    return tuple(found for found in checks if found)
+    return tuple(_surface_faults(mesh, MeshEdges(mesh)))
 
 
 @dataclass(frozen=True)
@@ -54,21 +48,20 @@ class MeshEdges:
         return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
     @cached_property
-    def which(self) -> Numbers:
+    def edge_numbers(self) -> Numbers:
         """(3 f,): index of each directed edge regardless of its direction."""
         low, high = self.directed.min(axis=1), self.directed.max(axis=1)
-        _, which = np.unique(low * len(self.mesh.vertices) + high, return_inverse=True)
-        return which.reshape(-1)
+        return np.unique(low * len(self.mesh.vertices) + high, return_inverse=True)[1].reshape(-1)
 
     @cached_property
-    def times(self) -> Numbers:
+    def triangle_counts(self) -> Numbers:
         """(e,): number of triangles of each edge."""
-        return np.bincount(self.which)
+        return np.bincount(self.edge_numbers)
 
     @property
     def is_closed(self) -> bool:
         """True if every edge has an even number of triangles."""
-        return not (self.times % 2).any()
+        return not (self.triangle_counts % 2).any()
 
     @cached_property
     def is_wound_alike(self) -> bool:
@@ -79,26 +72,26 @@ class MeshEdges:
     def _leans(self) -> Numbers:
         """(e,): surplus of triangles that run along each edge upward over downward."""
         upward = np.where(self.directed[:, 0] < self.directed[:, 1], 1, -1)
-        return np.bincount(self.which, weights=upward).astype(np.int64)
+        return np.bincount(self.edge_numbers, weights=upward).astype(np.int64)
 
     @property
-    def torn(self) -> int:
+    def torn_edges(self) -> int:
         """Number of edges of a closed mesh whose neighbours are wound both ways."""
         return int((self._leans != 0).sum())
 
     @cached_property
-    def loose(self) -> Numbers:
+    def open_edges(self) -> Numbers:
         """(k, 2): directed edges with one triangle only."""
-        loose: Numbers = self.directed[self.times[self.which] == 1]
-        return loose
+        open_edges: Numbers = self.directed[self.triangle_counts[self.edge_numbers] == 1]
+        return open_edges
 
     @cached_property
     def holes(self) -> tuple[Numbers, ...]:
         """Loose edges (k, 2) around each hole, the widest first."""
-        if not len(self.loose):
+        if not len(self.open_edges):
             return ()
-        labels = _connected(self.loose, len(self.mesh.vertices))[self.loose[:, 0]]
-        found = [self.loose[labels == label] for label in np.unique(labels)]
+        labels = _connected(self.open_edges, len(self.mesh.vertices))[self.open_edges[:, 0]]
+        found = [self.open_edges[labels == label] for label in np.unique(labels)]
         return tuple(sorted(found, key=lambda hole: -edges_width(self.mesh, hole)))
 
 
@@ -142,49 +135,34 @@ def point_in_words(point: Floats) -> str:
     return "(" + ", ".join(f"{number:.4f}" for number in point) + ")"
 
 
-def _of_no_hands_size(mesh: Mesh) -> str:
+def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
     largest = float(mesh.extents.max())
-    if SMALLEST_OBJECT <= largest <= LARGEST_OBJECT:
-        return ""
-    size = " x ".join(f"{side:.4g}" for side in mesh.extents)
-    kind = "larger" if largest > LARGEST_OBJECT else "smaller"
-    return f"it is {size} m large, {kind} than what a hand grasps; {scale_advice(largest)}"
-
-
-def _open_fault(edges: MeshEdges) -> str:
-    loose, holes = len(edges.loose), edges.holes
-    if loose:
-        around = "1 hole" if len(holes) == 1 else f"{len(holes)} holes, the largest"
-        where = point_in_words(edges_middle(edges.mesh, holes[0]))
-        return (
-            f"it is not closed (watertight): {loose} edges have only one triangle, around {around} "
-            f"{edges_width(edges.mesh, holes[0]):.4f} m wide at {where}; close it in the "
-            "program that drew it, or "
+    if not SMALLEST_OBJECT <= largest <= LARGEST_OBJECT:
+        size = " x ".join(f"{side:.4g}" for side in mesh.extents)
+        kind = "larger" if largest > LARGEST_OBJECT else "smaller"
+        yield f"it is {size} m large, {kind} than what a hand grasps; {scale_advice(largest)}"
+    odd = np.flatnonzero(edges.triangle_counts % 2)
+    if len(edges.open_edges):
+        widest, count = edges.holes[0], len(edges.holes)
+        yield (
+            f"it is not closed (watertight): {len(edges.open_edges)} edges have only one triangle, around "
+            f"{'1 hole' if count == 1 else f'{count} holes, the largest'} {edges_width(mesh, widest):.4f} m "
+            f"wide at {point_in_words(edges_middle(mesh, widest))}; close it in the program that drew it, or "
             "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`"
         )
-    odd = np.flatnonzero(edges.times % 2)
-    if len(odd):
-        where = point_in_words(edges_middle(edges.mesh, edges.directed[edges.which == odd[0]]))
-        return (
+    elif len(odd):
+        where = point_in_words(edges_middle(mesh, edges.directed[edges.edge_numbers == odd[0]]))
+        yield (
             f"it is not closed (watertight): {len(odd)} edges have an odd number of triangles, one at "
             f"{where}; take out the sheets that stand in it"
         )
-    return ""
-
-
-def _winding_fault(edges: MeshEdges) -> str:
-    if not edges.is_closed or edges.is_wound_alike:
-        return ""
-    return (
-        f"its triangles are wound both ways along {edges.torn} edges, and cannot all face outward: it has no "
-        "inside, like a Klein bottle; draw it again"
-    )
-
-
-def _without_inside(mesh: Mesh, edges: MeshEdges) -> str:
-    if abs(mesh.volume) < FLATTEST and edges.is_closed:
-        return "it is flat: it encloses no volume; give it a thickness"
-    return ""
+    if edges.is_closed and not edges.is_wound_alike:
+        yield (
+            f"its triangles are wound both ways along {edges.torn_edges} edges, and cannot all face outward: "
+            "it has no inside, like a Klein bottle; draw it again"
+        )
+    if edges.is_closed and abs(mesh.volume) < FLATTEST:
+        yield "it is flat: it encloses no volume; give it a thickness"
 
 
 TOUCHING = 1e-5  # Vertices nearer to each other than this share of the largest side are one
@@ -214,11 +192,11 @@ def is_surface(mesh: Mesh) -> bool:
 def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
     """Merge vertices at nearly the same place, which closes seams of textures and geometries."""
     places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * mesh.extents.max()))
-    _, first, which = np.unique(places.astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    _, first, merged = np.unique(places.astype(np.int64), axis=0, return_index=True, return_inverse=True)
     fewer = len(mesh.vertices) - len(first)
     if not fewer:
         return mesh, ""
-    return Mesh(mesh.vertices[first], which.reshape(-1)[mesh.faces]), f"{fewer} vertices merged with others"
+    return Mesh(mesh.vertices[first], merged.reshape(-1)[mesh.faces]), f"{fewer} vertices merged with others"
 
 
 def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
@@ -228,21 +206,17 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
     """
     corners = np.sort(mesh.faces, axis=1)
     whole = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
-    _, first, which = np.unique(corners[whole], axis=0, return_index=True, return_inverse=True)
-    rising, which = _is_rising(mesh.faces[whole]), which.reshape(-1)
-    up, down = (np.bincount(which, weights=way, minlength=len(first)) > 0 for way in (rising, ~rising))
+    _, first, groups = np.unique(corners[whole], axis=0, return_index=True, return_inverse=True)
+    groups, faces = groups.reshape(-1), mesh.faces[whole]
+    # corners rise after the lowest one, or fall: opposite for triangles back to back
+    rolled = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    rising = rolled[:, 1] < rolled[:, 2]
+    up, down = (np.bincount(groups, weights=way, minlength=len(first)) > 0 for way in (rising, ~rising))
     kept = np.sort(whole[first[up != down]])
     dropped = len(mesh.faces) - len(kept)
     if not dropped:
         return mesh, ""
     return Mesh(mesh.vertices, mesh.faces[kept]), f"{dropped} degenerate or duplicate triangles dropped"
-
-
-def _is_rising(faces: Numbers) -> NDArray[np.bool_]:
-    """(f,): whether corners rise after the lowest; opposite for triangles back to back."""
-    rolled = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
-    rising: NDArray[np.bool_] = rolled[:, 1] < rolled[:, 2]
-    return rising
 
 
 def wind_alike(mesh: Mesh) -> tuple[Mesh, str]:
@@ -251,8 +225,8 @@ def wind_alike(mesh: Mesh) -> tuple[Mesh, str]:
     from scipy.sparse.csgraph import connected_components
 
     edges, count = MeshEdges(mesh), len(mesh.faces)
-    order = np.argsort(edges.which, kind="stable")
-    paired = order[edges.times[edges.which[order]] == 2].reshape(-1, 2)
+    order = np.argsort(edges.edge_numbers, kind="stable")
+    paired = order[edges.triangle_counts[edges.edge_numbers[order]] == 2].reshape(-1, 2)
     one, other = paired.T % count
     alike = edges.directed[paired[:, 0], 0] != edges.directed[paired[:, 1], 0]
     # each triangle stands twice, as it is and turned; neighbours that fit are joined
@@ -286,17 +260,14 @@ def _with_turned(mesh: Mesh, is_turned: NDArray[np.bool_], why: str) -> tuple[Me
 
 
 def inverted_bodies(mesh: Mesh) -> NDArray[np.bool_]:
-    """(b,): True for bodies of negative volume that are not a hollow within another one."""
+    """Return a mask (b,) of bodies of negative volume that are not a hollow within another one."""
     wrong: NDArray[np.bool_] = body_volumes(mesh) < 0
+    labels = bodies(mesh)
     for body in np.flatnonzero(wrong).tolist() if len(wrong) > 1 else ():
-        wrong[body] = not _is_within_another(mesh, bodies(mesh), body)
+        others = Mesh(mesh.vertices, mesh.faces[labels != body])
+        point = mesh.corners[np.flatnonzero(labels == body)[0]].mean(axis=0)
+        wrong[body] = inside_count(others, point[None], SKEW_DIRECTION[None])[0] <= 0
     return wrong
-
-
-def _is_within_another(mesh: Mesh, labels: Numbers, body: int) -> bool:
-    others = Mesh(mesh.vertices, mesh.faces[labels != body])
-    point = mesh.corners[np.flatnonzero(labels == body)[0]].mean(axis=0)
-    return bool(inside_count(others, point[None], SKEW_DIRECTION[None])[0] > 0)
 
 
 def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
@@ -317,8 +288,7 @@ def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
 
 def _is_ring(rim: Numbers) -> bool:
     """Return whether directed edges (k, 2) visit each vertex once."""
-    starts, ends = np.sort(rim[:, 0]), np.sort(rim[:, 1])
-    return bool((starts == ends).all() and (np.diff(starts) > 0).all())
+    return np.array_equal(np.unique(rim[:, 0]), np.sort(rim[:, 1]))
 
 
 MEETING = 1e-3  # Bodies with no larger distance than this belong together [m]
@@ -327,11 +297,11 @@ MANY_BODIES = 2000  # More bodies than this are noise of a scan, and are compare
 
 def gap_note(mesh: Mesh) -> str:
     """Return the fault sentence for bodies that are apart; empty if they all meet."""
-    room = body_gap(mesh)
-    if not room:
+    gap = body_gap(mesh)
+    if not gap:
         return ""
     return (
-        f"it is of bodies with about {room:.2g} m of air between them, and an object is one rigid thing: "
+        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing: "
         "give each a file of its own, or say with --glued that they are moved as one"
     )
 
@@ -381,17 +351,21 @@ class MeshBodies:
 
     def _meet(self, body: int, other: int) -> bool:
         """Return whether two bodies meet, given that their boxes do."""
-        if len(self.parts) > MANY_BODIES or self._holders[body] == other or self._holders[other] == body:
+        if (
+            len(self.parts) > MANY_BODIES
+            or self._enclosing_bodies[body] == other
+            or self._enclosing_bodies[other] == body
+        ):
             return True
-        first, second = self._toward(body, other), self._toward(other, body)
+        first, second = self._near_triangles(body, other), self._near_triangles(other, body)
         return bool(len(first) and len(second)) and come_within(first, second, MEETING)
 
-    def _toward(self, body: int, other: int) -> Floats:
+    def _near_triangles(self, body: int, other: int) -> Floats:
         """Return the triangles of a body that are near enough to another one's box to meet it."""
         low, high = self._boxes
         part = self.parts[body]
-        room = _box_distance(part.min(axis=1), part.max(axis=1), low[other], high[other])
-        near: Floats = part[np.linalg.norm(room, axis=1) <= MEETING]
+        gaps = _box_distance(part.min(axis=1), part.max(axis=1), low[other], high[other])
+        near: Floats = part[np.linalg.norm(gaps, axis=1) <= MEETING]
         return near
 
     @cached_property
@@ -401,31 +375,26 @@ class MeshBodies:
         return low, np.array([part.max(axis=(0, 1)) for part in self.parts])
 
     @cached_property
-    def _holders(self) -> NDArray[np.int64]:
+    def _enclosing_bodies(self) -> NDArray[np.int64]:
         """(b,): innermost body in whose material each one lies; itself if in no other."""
         low, high = self._boxes
         points = np.array([part[0].mean(axis=0) for part in self.parts])
-        times, holders = np.zeros(len(points), dtype=np.int64), np.arange(len(points))
+        depths, holders = np.zeros(len(points), dtype=np.int64), np.arange(len(points))
         sizes = np.full(len(points), np.inf)
         for body, part in enumerate(self.parts):
             is_held = np.all((low[body] < points) & (points < high[body]), axis=1)
             is_held[body] = False
             held = np.flatnonzero(is_held)
             if len(held):
-                found = inside_count(
-                    _mesh_of_triangles(part), points[held], np.tile(SKEW_DIRECTION, (len(held), 1))
-                )
-                times[held] += found
+                mesh = Mesh(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
+                found = inside_count(mesh, points[held], np.tile(SKEW_DIRECTION, (len(held), 1)))
+                depths[held] += found
                 inner = held[(found > 0) & (abs(self.volumes[body]) < sizes[held])]
                 holders[inner], sizes[inner] = body, abs(self.volumes[body])
-        return np.where(times > 0, holders, np.arange(len(points)))
-
-
-def _mesh_of_triangles(part: Floats) -> Mesh:
-    return Mesh(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
+        return np.where(depths > 0, holders, np.arange(len(points)))
 
 
 def _box_distance(low: Floats, high: Floats, lowest: Floats, highest: Floats) -> Floats:
     """Return the gaps (n, 3) [m] between boxes and another box along each axis; 0: overlap."""
-    room: Floats = np.maximum(low - highest, lowest - high).clip(min=0.0)
-    return room
+    gaps: Floats = np.maximum(low - highest, lowest - high).clip(min=0.0)
+    return gaps

@@ -42,26 +42,17 @@ def box(sides: tuple[float, float, float]) -> Mesh:
 
 
 def geodesic(radius: float, frequency: int) -> Mesh:
-    """Return a sphere of 10 frequency^2 + 2 vertices; of full extents for even frequencies."""
-    return hull(_directions(frequency) * radius)
+    """Return a sphere of 10 frequency^2 + 2 vertices; of full extents for even frequencies.
 
-
-def _directions(frequency: int) -> Floats:
-    """Return unit vectors over an icosahedron whose edges are divided `frequency` times."""
-    corners = _icosahedron()
-    triples = hull(corners).faces
+    They are the vertices of an icosahedron's edges divided `frequency` times, moved out to the sphere.
+    """
+    rectangle = np.array([(0.0, a, b * GOLDEN) for a in (-1, 1) for b in (-1, 1)])
+    corners = np.concatenate([np.roll(rectangle, shift, axis=1) for shift in range(3)])
     steps = [(i, j, frequency - i - j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
-    points = np.concatenate([np.array(steps) @ corners[triple] / frequency for triple in triples])
+    points = np.concatenate([np.array(steps) @ corners[face] / frequency for face in hull(corners).faces])
     units = points / np.linalg.norm(points, axis=1, keepdims=True)
     _, first = np.unique(units.round(9), axis=0, return_index=True)
-    distinct: Floats = units[np.sort(first)]
-    return distinct
-
-
-def _icosahedron() -> NDArray[np.float64]:
-    """(12, 3): (0, +-1, +-golden) and its cyclic permutations."""
-    rectangle = np.array([(0.0, a, b * GOLDEN) for a in (-1, 1) for b in (-1, 1)])
-    return np.concatenate([np.roll(rectangle, shift, axis=1) for shift in range(3)])
+    return hull(units[np.sort(first)] * radius)
 
 
 OUTLINE_CORNERS = 20  # of a round outline; two of them are a part of 40 vertices
@@ -72,14 +63,8 @@ def superellipse(
 ) -> Floats:
     """Return a superellipse (corners, 3) [m] around `centre`, in the plane of its half axes.
 
-    Parameters
-    ----------
-    centre, across, along
-        (3,) [m].
-    power
-        2 is an ellipse; the greater, the closer to a rectangle.
-    corners
-        Number of corners; a multiple of four touches all four ends of the half axes.
+    `centre`, `across` and `along` are (3,) [m]. The power 2 gives an ellipse; the greater, the closer to a
+    rectangle. A multiple of four `corners` touches all four ends of the half axes.
     """
     angles = np.arange(corners) * 2 * np.pi / corners
     c, s = np.cos(angles).round(12), np.sin(angles).round(12)

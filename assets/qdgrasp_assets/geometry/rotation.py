@@ -52,11 +52,8 @@ def turned(first: Floats, second: Floats, angles: Floats) -> tuple[Floats, Float
 def rolls(asides: Floats, directions: Floats) -> Floats:
     """Return the roll (n,) [rad], in [0, 2 pi), of hands that look along `directions` (n, 3).
 
-    Parameters
-    ----------
-    asides
-        (n, 3): where each hand's zero of the roll points, which is the first tangent of its approach axis; it
-        need not be at right angles to the direction.
+    `asides` (n, 3) are where each hand's zero of the roll points, which is the first tangent of its approach
+    axis; it need not be at right angles to the direction.
     """
     first, second = tangents(directions)
     angles: Floats = np.arctan2(dot(asides, second), dot(asides, first)) % (2 * np.pi)

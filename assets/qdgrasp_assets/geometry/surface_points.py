@@ -60,10 +60,7 @@ SURFACES = {"paper": paper_surface, "released": released_surface, "robust": pape
 def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Floats, NDArray[np.int64]]:
     """Draw `n` points uniformly by area.
 
-    Returns
-    -------
-    points: (n, 3) [m], frame of the mesh
-    triangles: (n,), the face that each point was drawn from
+    Returns the points (n, 3) [m] in the frame of the mesh, and the face (n,) that each was drawn from.
     """
     random = np.random.default_rng(seed)
     cumulated = np.cumsum(mesh.areas)
@@ -77,7 +74,7 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Floats, NDArray[np.in
 def nearest_triangle(points: Floats, triangles: Floats) -> NDArray[np.int64]:
     """Return the triangle nearest to each point, exactly; the first of equals.
 
-    points: (n, 3), triangles: (t, 3, 3). Returns (n,) indices into `triangles`.
+    `points` (n, 3), `triangles` (t, 3, 3); the result (n,) are indices of triangles.
     """
     rows = max(1, CHUNK // len(triangles))
     blocks = [points[start : start + rows] for start in range(0, len(points), rows)]

@@ -56,7 +56,7 @@ class ClosingMotion:
     opened: Posture
     closed: Posture
     """Closed positions of the joints that close."""
-    stays: Mapping[str, str]
+    fixed_joints: Mapping[str, str]
     """Joints that do not close, with the reason for their position."""
 
     def posture(self, share: float) -> Posture:
@@ -71,7 +71,14 @@ class ClosingMotion:
     def spreads(self, axis: Floats) -> tuple[str, ...]:
         """Return the joints that turn fingers far about the approach axis (3,)."""
         first = [finger.joints[0] for finger in self.fingers]
-        return tuple(name for name in first if name in self.stays and _spreads(self.body, name, axis))
+        frames = self.body.frames({})
+        found = []
+        for joint in (self.body.joint(name) for name in first if name in self.fixed_joints):
+            direction = frames[joint.child][:3, :3] @ joint.axis
+            is_parallel = _turns(joint) and abs(direction @ axis) > PARALLEL
+            if is_parallel and np.ptp(self.body.range(joint.name)) > WIDE_SPREAD:
+                found.append(joint.name)
+        return tuple(found)
 
 
 class ClosingSearch:
@@ -80,9 +87,9 @@ class ClosingSearch:
     def __init__(self, body: HandModel) -> None:
         self.body = body
         self.leaders = [name for name in body.moving if name not in body.followers]
-        self.middle = self._at(0.5)
+        self.middle = self._posture_at(0.5)
         self.fingers = find_fingers(
-            body, [with_followers(body.robot, self._at(share)) for share in (0.0, 0.5, 1.0)]
+            body, [with_followers(body.robot, self._posture_at(share)) for share in (0.0, 0.5, 1.0)]
         )
 
     @cached_property
@@ -90,7 +97,7 @@ class ClosingSearch:
         """Groups of leading joints, finger by finger, outward."""
         return tuple(_groups(self.body, self.fingers, self.leaders))
 
-    def apart(self, changed: Posture) -> float:
+    def tip_distance(self, changed: Posture) -> float:
         """Return the sum of the distances [m] between fingertips, and to the middle of the roots.
 
         Joints that are not `changed` are half-way.
@@ -100,9 +107,9 @@ class ClosingSearch:
         pairs = [*combinations(tips, 2), *((tip, self._roots) for tip in tips)]
         return float(sum(np.linalg.norm(one - other) for one, other in pairs))
 
-    def end(self, group: JointGroup) -> tuple[float, float]:
+    def closing_end(self, group: JointGroup) -> tuple[float, float]:
         """Return the end of its range, 0 or 1, at which a group is closed, and the gain [m]."""
-        low, high = (self.apart(group_posture(self.body, group, 0.5 + step)) for step in (-STEP, STEP))
+        low, high = (self.tip_distance(group_posture(self.body, group, 0.5 + step)) for step in (-STEP, STEP))
         return (1.0, low - high) if high < low else (0.0, high - low)
 
     @cached_property
@@ -111,25 +118,26 @@ class ClosingSearch:
         middle: Floats = np.mean([finger_root(self.body, finger) for finger in self.fingers], axis=0)
         return middle
 
-    def _at(self, share: float) -> Posture:
+    def _posture_at(self, share: float) -> Posture:
         return {name: _mix(*self.body.range(name), share) for name in self.leaders}
 
 
 def find_closing(body: HandModel) -> ClosingMotion:
     """Find the joints that close a hand: each finger's outermost, and those parallel to it."""
-    trial = ClosingSearch(body)
-    ends = {group.joints: trial.end(group) for group in trial.groups}
-    closed = {
-        name: place
-        for group in trial.groups
-        if _closes(group, trial.groups, {joints: gain for joints, (_, gain) in ends.items()})
-        for name, place in group_posture(body, group, ends[group.joints][0]).items()
-    }
+    search = ClosingSearch(body)
+    ends = {group.joints: search.closing_end(group) for group in search.groups}
+    closed: Posture = {}
+    for finger in search.fingers:
+        groups = [group for group in search.groups if group.finger is finger]
+        most = max((ends[group.joints][1] for group in groups), default=0.0)
+        # the outermost group with a large gain closes the finger
+        for group in [each for each in groups if ends[each.joints][1] >= SHARE * most][-1:]:
+            closed |= group_posture(body, group, ends[group.joints][0])
     opened = {name: _open_position(body, name, place) for name, place in closed.items()}
-    staying = {name: _resting_position(trial, name) for name in trial.leaders if name not in closed}
-    stays = {name: reason for name, (_, reason) in staying.items()}
-    places = {name: place for name, (place, _) in staying.items()}
-    return ClosingMotion(body, trial.fingers, {**opened, **places}, closed, stays)
+    resting = {name: _resting_position(search, name) for name in search.leaders if name not in closed}
+    places = {name: place for name, (place, _) in resting.items()}
+    reasons = {name: reason for name, (_, reason) in resting.items()}
+    return ClosingMotion(body, search.fingers, {**opened, **places}, closed, reasons)
 
 
 def interpolate_posture(opened: Posture, closed: Posture, share: float) -> Posture:
@@ -149,13 +157,6 @@ def _mix(low: float, high: float, share: float) -> float:
     return float(low + share * (high - low))
 
 
-def _closes(group: JointGroup, groups: Iterable[JointGroup], gains: Mapping[tuple[str, ...], float]) -> bool:
-    """Return whether a group closes its finger: the outermost group there with a large gain."""
-    same = [each for each in groups if each.finger is group.finger]
-    most = max(gains[each.joints] for each in same)
-    return group is [each for each in same if gains[each.joints] >= SHARE * most][-1]
-
-
 def _open_position(body: HandModel, name: str, closed: float) -> float:
     """Return the open position: the other limit, or zero for a revolute joint where it is near."""
     low, high = body.range(name)
@@ -165,13 +166,13 @@ def _open_position(body: HandModel, name: str, closed: float) -> float:
     return 0.0 if is_rest and is_near else other
 
 
-def _resting_position(trial: ClosingSearch, name: str) -> tuple[float, str]:
+def _resting_position(search: ClosingSearch, name: str) -> tuple[float, str]:
     """Return position and reason for a joint that does not close: zero, or the best one tried."""
-    low, high = trial.body.range(name)
+    low, high = search.body.range(name)
     if min(-low, high) > WITHIN * (high - low):
         return 0.0, STAYS_REASON
     places = [_mix(low, high, share) for share in np.linspace(0, 1, LOOKS)]
-    return min(places, key=lambda place: trial.apart({name: place})), NEAREST_REASON
+    return min(places, key=lambda place: search.tip_distance({name: place})), NEAREST_REASON
 
 
 def _groups(body: HandModel, fingers: tuple[Finger, ...], leaders: Iterable[str]) -> Iterable[JointGroup]:
@@ -181,30 +182,24 @@ def _groups(body: HandModel, fingers: tuple[Finger, ...], leaders: Iterable[str]
         left = [name for name in finger.joints if name in axes]
         while left:
             first = left[0]
-            own = [name for name in left if name == first or _are_parallel(body, axes, first, name)]
+            own = [
+                name
+                for name in left
+                if name == first
+                or (
+                    _turns(body.joint(first))
+                    and _turns(body.joint(name))
+                    and abs(axes[first] @ axes[name]) > PARALLEL
+                )
+            ]
             yield JointGroup(
                 finger, tuple(own), tuple(float(np.sign(axes[first] @ axes[name])) for name in own)
             )
             left = [name for name in left if name not in own]
 
 
-def _are_parallel(body: HandModel, axes: Mapping[str, Floats], one: str, other: str) -> bool:
-    """Return whether both joints turn, about parallel axes."""
-    return (
-        _turns(body.joint(one))
-        and _turns(body.joint(other))
-        and bool(abs(axes[one] @ axes[other]) > PARALLEL)
-    )
-
-
 def _turns(joint: UrdfJoint) -> bool:
     return joint.kind != "prismatic"
-
-
-def _spreads(body: HandModel, name: str, axis: Floats) -> bool:
-    joint = body.joint(name)
-    direction = body.frames({})[joint.child][:3, :3] @ joint.axis
-    return _turns(joint) and bool(abs(direction @ axis) > PARALLEL and np.ptp(body.range(name)) > WIDE_SPREAD)
 
 
 FEWEST_FINGERS = 3  # Least number of fingers of a hand with a thumb
@@ -212,32 +207,24 @@ SAME_TURN = 0.8  # Cosine above which two fingers turn the same way
 
 
 def pinches(closing: ClosingMotion) -> tuple[dict[str, tuple[str, ...]], str]:
-    """Return the thumb with each other finger, and all fingers, by name; empty without a thumb."""
-    thumb = find_thumb(closing)
-    if thumb is None:
-        return {}, ""
-    others = [finger for finger in closing.fingers if finger is not thumb]
-    pairs = {
-        f"thumb_{number}": _closing_joints(closing, thumb) + _closing_joints(closing, finger)
-        for number, finger in enumerate(others, 1)
-    }
-    everything = tuple(joint for finger in closing.fingers for joint in _closing_joints(closing, finger))
-    return {
-        **pairs,
-        "all": everything,
-    }, f"the thumb ({thumb.links[-1]}) with each other finger, and all together"
+    """Return the thumb with each other finger, and all fingers, by name; empty without a thumb.
 
-
-def find_thumb(closing: ClosingMotion) -> Finger | None:
-    """Return the one finger that closes another way than all others; None if there is not one."""
-    if len(closing.fingers) < FEWEST_FINGERS:
-        return None
-    turns = np.array([_turning_axis(closing, finger) for finger in closing.fingers])
+    The thumb is the one finger that closes another way than all others.
+    """
+    fingers = closing.fingers
+    turns = np.array([_turning_axis(closing, finger) for finger in fingers]).reshape(-1, 3)
     alike = turns @ turns.T > SAME_TURN
-    strangers = [which for which, row in enumerate(alike) if row.sum() == 1]
-    if len(strangers) != 1 or alike.sum() != (len(turns) - 1) ** 2 + 1:
-        return None
-    return closing.fingers[strangers[0]]
+    lonely = [number for number, row in enumerate(alike) if row.sum() == 1]
+    are_others_alike = alike.sum() == (len(turns) - 1) ** 2 + 1
+    if len(fingers) < FEWEST_FINGERS or len(lonely) != 1 or not are_others_alike:
+        return {}, ""
+    joints = [_closing_joints(closing, finger) for finger in fingers]
+    thumb = lonely[0]
+    others = [names for number, names in enumerate(joints) if number != thumb]
+    synergies = {f"thumb_{number}": joints[thumb] + names for number, names in enumerate(others, 1)}
+    synergies["all"] = tuple(name for names in joints for name in names)
+    reason = f"the thumb ({fingers[thumb].links[-1]}) with each other finger, and all together"
+    return synergies, reason
 
 
 def _turning_axis(closing: ClosingMotion, finger: Finger) -> Floats:
@@ -301,7 +288,7 @@ def grasp_centre(closing: ClosingMotion) -> Floats:
 
 
 def approach_direction(closing: ClosingMotion) -> Floats:
-    """Return the unit approach direction (3,) from `way`, snapped to a near axis."""
+    """Return the unit approach direction (3,) from `closing_way`, snapped to a near axis."""
     return snap_to_axis(closing_way(closing)[0])
 
 
@@ -314,19 +301,15 @@ def closing_way(closing: ClosingMotion) -> tuple[Floats, str]:
     """
     roots = np.mean([finger_root(closing.body, finger) for finger in closing.fingers], axis=0)
     outward = grasp_centre(closing) - roots
-    palm = closing.body.corners(finger_mounts(closing), {})
+    # the links on which the fingers hang; where these have no shapes, the whole palm
+    parents = {closing.body.joint(finger.joints[0]).parent for finger in closing.fingers}
+    links = palm_links(closing.body)
+    palm = closing.body.corners([link for link in links if link in parents] or links, {})
     if not len(palm) or (np.linalg.norm(outward) >= SHORT and not fixed_limbs(closing.body)):
         return outward, "from the fingers' roots to the fingertips of the half closed hand"
     opened = closing.posture(0.0)
     fingers = [_box_middle(closing.body.corners(finger.links, opened)) for finger in closing.fingers]
     return np.mean(fingers, axis=0) - _box_middle(palm), "from the middle of the palm to that of the fingers"
-
-
-def finger_mounts(closing: ClosingMotion) -> tuple[str, ...]:
-    """Return the links on which the fingers hang; where these have no shapes, the whole palm."""
-    body = closing.body
-    parents = {body.joint(finger.joints[0]).parent for finger in closing.fingers}
-    return tuple(link for link in palm_links(body) if link in parents) or palm_links(body)
 
 
 def _box_middle(corners: Floats) -> Floats:
@@ -352,7 +335,7 @@ def palm_links(body: HandModel) -> tuple[str, ...]:
     return tuple(
         link
         for link in body.parts
-        if body.mounts[link] == body.robot.root and not any(link in links for links in fixed)
+        if body.rigid_piece[link] == body.robot.root and not any(link in links for links in fixed)
     )
 
 
@@ -362,7 +345,7 @@ def palm_surface(body: HandModel, axis: Floats) -> tuple[float, bool]:
     Where the axis does not meet the palm, the palm's farthest point counts.
     """
     links = palm_links(body)
-    found = ray_exit([part for parts in body.placed({}, links).values() for part in parts], axis)
+    found = ray_exit([part for parts in body.parts_at({}, links).values() for part in parts], axis)
     if found is not None:
         return max(found, 0.0), True
     return float((body.corners(links, {}) @ axis).max(initial=0.0)), False
@@ -400,16 +383,12 @@ def jaw_axis(closing: ClosingMotion, axis: Floats) -> Floats | None:
 
 def jaw_opening(closing: ClosingMotion, axis: Floats, across: Floats) -> float:
     """Return the distance between the inner sides of two open fingers along `across` [m]."""
-    least = finger_reach(closing, axis)
-    low = least - PAD * (least - palm_surface(closing.body, axis)[0])
-    sides = [_pad(closing, finger, axis, low) @ across for finger in closing.fingers]
+    reach = finger_reach(closing, axis)
+    low = reach - PAD * (reach - palm_surface(closing.body, axis)[0])
+    sides = []
+    for finger in closing.fingers:
+        corners = closing.body.corners(finger.links, closing.posture(0.0))
+        heights = corners @ axis
+        sides.append(corners[heights >= min(low, heights.max())] @ across)
     one, other = sorted(sides, key=np.mean)
     return float(max(other.min() - one.max(), 0.0))
-
-
-def _pad(closing: ClosingMotion, finger: Finger, axis: Floats, low: float) -> Floats:
-    """Return corners (n, 3) of an open finger beyond `low` [m] along the approach axis."""
-    corners = closing.body.corners(finger.links, closing.posture(0.0))
-    heights = corners @ axis
-    beyond: Floats = corners[heights >= min(low, heights.max())]
-    return beyond

@@ -1,18 +1,18 @@
 """Mended copies of hands that the simulator can take: a URDF and a folder of meshes.
 
-They lie beside the gripper's file and hold the hand alone. What is there and can be used stays as it is;
-each change is told in words. Links without a mass get that of solids of water, which hollow ones of metal
-are near. A base link in the middle is added where the fingers close beside the line on which the palm looks
-at objects.
+They lie beside the gripper's file and hold the hand alone. What can be used stays as it is; each change is
+described in words. Links without a mass get that of solids of water, which hollow ones of metal are near. A
+base link in the middle is added where the fingers close beside the line on which the palm looks at objects.
 """
 
 import copy
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
+from typing import NoReturn
 
 import numpy as np
 
@@ -32,13 +32,10 @@ DENSITY = 1000.0  # Density of links with shapes [kg/m3]
 FRAME_MASS = 1e-3  # Mass of links without shapes: frames, tips, mounts [kg]
 LEAST_SIDE = 5e-3  # Least side of the box that gives a link its inertia [m]
 
-Corners = Callable[[Urdf, str], tuple[Floats, ...]]
-"""Returns the corners of a link's convex parts, link frame."""
 
-
-def weigh(hand: Urdf, corners: Corners) -> Iterator[str]:
+def weigh(hand: Urdf, splitter: MeshSplitter) -> Iterator[str]:
     """Give a mass and an inertia to each link of a hand that lacks them; yields the changes."""
-    given: list[str] = []
+    given: dict[str, str] = {}
     wrong = unweighed(hand.element)
     for link in hand.element.findall("link"):
         name = link.get("name", "")
@@ -46,20 +43,27 @@ def weigh(hand: Urdf, corners: Corners) -> Iterator[str]:
             continue
         for old in link.findall("inertial"):
             link.remove(old)
-        inertial = _inertial(corners(hand, name))
+        mass, inertial = _inertial(splitter.corners(hand, name))
         link.append(inertial)
-        (mass,) = inertial.iter("mass")
-        given.append(f"{name} {float(mass.get('value', 0)):.3g}")
+        given[name] = f"{name} {float(mass):.3g}"
     if given:
         yield (
-            f"{listed('link', [words.partition(' ')[0] for words in given])} given a mass, by the size of "
-            f"the shapes at {DENSITY:g} kg/m3 ({', '.join(given)} kg)"
+            f"{listed('link', list(given))} given a mass, by the size of the shapes at {DENSITY:g} kg/m3 "
+            f"({', '.join(given.values())} kg)"
         )
 
 
-def _inertial(parts: tuple[Floats, ...]) -> ET.Element:
-    """Return mass and inertia of convex parts, as of a box around them."""
-    volume = sum(_volume(part) for part in parts)
+def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
+    """Return mass [kg] and `<inertial>` of convex parts (v, 3) [m].
+
+    The inertia is that of a box around them.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    volume = 0.0
+    for part in parts:
+        with suppress(QhullError, ValueError):  # a flat one
+            volume += float(ConvexHull(part).volume)
     mass = max(DENSITY * volume, FRAME_MASS)
     corners = np.concatenate([np.zeros((0, 3)), *parts])
     low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
@@ -70,59 +74,25 @@ def _inertial(parts: tuple[Floats, ...]) -> ET.Element:
     ET.SubElement(inertial, "mass", value=f"{mass:.6g}")
     names = {name: f"{moment:.6g}" for name, moment in zip(("ixx", "iyy", "izz"), moments, strict=True)}
     ET.SubElement(inertial, "inertia", {**names, "ixy": "0", "ixz": "0", "iyz": "0"})
-    return inertial
+    return f"{mass:.6g}", inertial
 
 
-def _volume(corners: Floats) -> float:
-    """Return the volume of the hull of corners (v, 3) [m3]; 0 for flat ones."""
-    from scipy.spatial import ConvexHull, QhullError
+def mend(
+    robot: Urdf, base: str, folder: str, tell: Tell
+) -> tuple[ET.Element, dict[str, bytes], tuple[str, ...]]:
+    """Mend the hand from link `base` on, of a URDF whose links and joints are one tree.
 
-    try:
-        return float(ConvexHull(corners).volume)
-    except (QhullError, ValueError):
-        return 0.0
-
-
-@dataclass(frozen=True)
-class MendedHand:
-    """Result of mending a hand."""
-
-    element: ET.Element
-    """The mended `<robot>`."""
-    meshes: dict[str, bytes]
-    """Meshes by their path in the URDF."""
-    changes: tuple[str, ...]
-    """Changes, one sentence each; empty where nothing was changed."""
-
-
-def mend(robot: Urdf, base: str, folder: str, tell: Tell) -> MendedHand:
-    """Mend the hand from link `base` on.
-
-    Parameters
-    ----------
-    robot
-        A URDF whose links and joints are one tree.
-    folder
-        What meshes lie in, relative to the URDF that will be written.
-    tell
-        Hears what takes long.
-
-    Raises
-    ------
-    AssetError
-        A mesh is missing or cannot be read, or CoACD failed.
+    Returns the mended `<robot>`, its meshes by path, and the changes in words. Meshes will lie in `folder`,
+    relative to the URDF that will be written. `tell` is called with a sentence before each slow step. Raises
+    `AssetError` if a mesh is missing or cannot be read, or CoACD failed.
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand.path, folder, tell)
-    changes = [
-        *_joints(hand.element),
-        *_shapes(hand.element),
-        *splitter.mend(hand),
-        *_without_visuals(hand.element),
-    ]
-    written = parse_robot(hand.path, hand.element)
-    changes += weigh(written, splitter.corners)
-    return MendedHand(hand.element, splitter.files, tuple(changes))
+    changes = [*_joints(hand.element), *_shapes(hand.element), *splitter.mend(hand)]
+    if visuals := drop_visuals(hand.element):  # their meshes may be missing
+        changes.append(f"{counted(visuals, 'visual shape')} left out, which no evaluation needs")
+    changes += weigh(parse_robot(hand.path, hand.element), splitter)
+    return hand.element, splitter.files, tuple(changes)
 
 
 def _joints(element: ET.Element) -> Iterator[str]:
@@ -160,33 +130,23 @@ def _shapes(element: ET.Element) -> Iterator[str]:
         yield f"{listed('link', taken)} given the visual shapes for collision, as there were no others"
 
 
-def _without_visuals(element: ET.Element) -> Iterator[str]:
-    """Remove the visual shapes, whose meshes may be missing."""
-    left = drop_visuals(element)
-    if left:
-        yield f"{counted(left, 'visual shape')} left out, which no evaluation needs"
-
-
 CENTRE = "_centre"  # Suffix of the name of an added base link
 
 
 @dataclass(frozen=True)
-class CentredHand:
-    """A hand with an added base link in the middle of its fingers."""
+class MendedCopy:
+    """A mended copy of a hand."""
 
     robot: Urdf
     base: str
-    change: str
-    """Description of the change for a person."""
+    changes: tuple[str, ...]
+    """Descriptions of the changes, one sentence each."""
 
 
-def centre_base(robot: Urdf, base: str) -> CentredHand | None:
+def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
     """Add a base link on the fingers' line before `base`; None where they close near its line.
 
-    Raises
-    ------
-    AssetError
-        A mesh is missing or cannot be read.
+    Raises `AssetError` if a mesh is missing or cannot be read.
     """
     body = read_hand_model(robot, base)
     closing = find_closing(body)
@@ -198,47 +158,26 @@ def centre_base(robot: Urdf, base: str) -> CentredHand | None:
     place = (centre - (centre @ axis) * axis).round(3) + 0.0
     name, words = base + CENTRE, " ".join(f"{value:g}" for value in place)
     element = copy.deepcopy(body.robot.element)
-    element.append(_base_frame(name))
-    element.append(_fixed_joint(name, base, " ".join(f"{0.0 - value:g}" for value in place)))
-    change = (
-        f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', "
-        f"on the line on which the fingers close: poses are those of '{name}'"
-    )
-    return CentredHand(parse_robot(robot.path, element), name, change)
-
-
-def _base_frame(name: str) -> ET.Element:
-    """Return a link without shapes, but with a mass: without one Bullet would hold it still."""
-    link = ET.Element("link", name=name)
+    link = ET.SubElement(element, "link", name=name)  # with a mass: without one Bullet would hold it still
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value=f"{FRAME_MASS:g}")
     moments = {"ixx": "1e-7", "iyy": "1e-7", "izz": "1e-7"}
     ET.SubElement(inertial, "inertia", {**moments, "ixy": "0", "ixz": "0", "iyz": "0"})
-    return link
-
-
-def _fixed_joint(parent: str, child: str, place: str) -> ET.Element:
-    joint = ET.Element("joint", name=f"{parent}_joint", type="fixed")
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", xyz=place, rpy="0 0 0")
-    return joint
+    joint = ET.SubElement(element, "joint", name=f"{name}_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=name)
+    ET.SubElement(joint, "child", link=base)
+    ET.SubElement(joint, "origin", xyz=" ".join(f"{0.0 - value:g}" for value in place), rpy="0 0 0")
+    change = (
+        f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', "
+        f"on the line on which the fingers close: poses are those of '{name}'"
+    )
+    return MendedCopy(parse_robot(robot.path, element), name, (change,))
 
 
 HEAD = (
     "<!-- A mended copy, written by `qdgrasp gripper new`, which writes it again where it is told to. -->\n"
 )
 """First line of each copy; a file without it is the user's own."""
-
-
-@dataclass(frozen=True)
-class MendedCopy:
-    """A mended copy of a hand."""
-
-    robot: Urdf
-    base: str
-    changes: tuple[str, ...]
-    """Descriptions of the changes, one sentence each."""
 
 
 def mended_urdf(toml: Path) -> Path:
@@ -254,20 +193,17 @@ def mended_meshes(toml: Path) -> Path:
 def check_replaceable(robot: Urdf, toml: Path) -> None:
     """Check that a copy would replace nothing but an older copy that `robot` does not use.
 
-    Raises
-    ------
-    AssetError
-        Something else is there, or `robot` uses it.
+    Raises `AssetError` if something else is there, or `robot` uses it.
     """
     urdf, folder = mended_urdf(toml), mended_meshes(toml)
-    if urdf.exists() and not _is_ours(urdf):
-        raise AssetError(_not_replaced(urdf, "was not written by --mend"))
+    if urdf.exists() and (path_problem(urdf) or not urdf.read_bytes().startswith(HEAD.encode())):
+        _refuse(urdf, "was not written by --mend")
     if folder.exists() and not _holds_copies(folder, urdf):
-        raise AssetError(_not_replaced(folder, "holds what was not written by --mend"))
+        _refuse(folder, "holds what was not written by --mend")
     if urdf.exists() and urdf.samefile(robot.path):
-        raise AssetError(_not_replaced(urdf, "is the URDF itself"))
+        _refuse(urdf, "is the URDF itself")
     if folder.exists() and any(_is_in(folder, robot, name) for name in _mesh_names(robot.element)):
-        raise AssetError(_not_replaced(folder, f"holds the meshes of '{robot.path}'"))
+        _refuse(folder, f"holds the meshes of '{robot.path}'")
 
 
 @contextmanager
@@ -275,26 +211,18 @@ def mended_copy(robot: Urdf, base: str, toml: Path, tell: Tell, *, may_centre: b
     """Write a mended copy of the hand from link `base` on, beside the gripper's file `toml`.
 
     It replaces an older copy at once. Where the with-block fails, what was there before is there again.
-
-    Parameters
-    ----------
-    tell
-        Hears what takes long.
-    may_centre
-        Whether another base link is put before `base` where the fingers close beside its line of approach.
-
-    Raises
-    ------
-    AssetError
-        A mesh is missing or cannot be read, CoACD failed, or the copy cannot be written; or something else
-        than an older copy is there.
+    `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
+    fingers close beside its line of approach. Raises `AssetError` if a mesh is missing or cannot be read,
+    CoACD failed, or the copy cannot be written; or something else than an older copy is there.
     """
     check_replaceable(robot, toml)
     urdf, names = mended_urdf(toml), (mended_urdf(toml).name, mended_meshes(toml).name)
     with _writing(urdf):
-        room = TemporaryDirectory(prefix=f".{toml.stem}.", dir=toml.parent)
-    with room as workshop:
-        new, old, failed = (_make_folder(Path(workshop) / name) for name in ("new", "old", "failed"))
+        folder = TemporaryDirectory(prefix=f".{toml.stem}.", dir=toml.parent)
+    with folder as temporary:
+        new, old, failed = (Path(temporary) / name for name in ("new", "old", "failed"))
+        for each in (new, old, failed):
+            each.mkdir()
         with _writing(urdf):
             copy = _make_copy(robot, base, new / urdf.name, names[1], tell, may_centre=may_centre)
         try:
@@ -318,27 +246,22 @@ def _make_copy(
     robot: Urdf, base: str, urdf: Path, folder: str, tell: Tell, *, may_centre: bool
 ) -> MendedCopy:
     """Write the copy: its URDF to `urdf`, and its meshes to `folder` beside it."""
-    mended = mend(robot, base, folder, tell)
-    for name, content in mended.meshes.items():
+    element, meshes, changes = mend(robot, base, folder, tell)
+    for name, content in meshes.items():
         (urdf.parent / name).parent.mkdir(parents=True, exist_ok=True)
         (urdf.parent / name).write_bytes(content)
-    _write_urdf(mended.element, urdf)
+    _write_urdf(element, urdf)
     copied = read_urdf(urdf)
-    found = centre_base(copied, base) if may_centre else None
-    if found is None:
-        return MendedCopy(copied, base, mended.changes)
-    _write_urdf(found.robot.element, urdf)
-    return MendedCopy(found.robot, found.base, (*mended.changes, found.change))
+    centred = centre_base(copied, base) if may_centre else None
+    if centred is None:
+        return MendedCopy(copied, base, changes)
+    _write_urdf(centred.robot.element, urdf)
+    return replace(centred, changes=(*changes, *centred.changes))
 
 
 def _write_urdf(element: ET.Element, path: Path) -> None:
     ET.indent(element)
     path.write_text(HEAD + ET.tostring(element, encoding="unicode") + "\n", encoding="utf-8")
-
-
-def _make_folder(path: Path) -> Path:
-    path.mkdir()
-    return path
 
 
 def _move_files(names: tuple[str, ...], source: Path, target: Path) -> None:
@@ -356,13 +279,6 @@ def _writing(urdf: Path) -> Iterator[None]:
         raise AssetError(
             f"The mended hand cannot be written to '{urdf}': {error.strerror or error}."
         ) from None
-
-
-def _is_ours(urdf: Path) -> bool:
-    if path_problem(urdf):
-        return False
-    with urdf.open("rb") as stream:
-        return stream.read(len(HEAD.encode())) == HEAD.encode()
 
 
 def _holds_copies(folder: Path, urdf: Path) -> bool:
@@ -384,8 +300,8 @@ def _is_in(folder: Path, robot: Urdf, name: str) -> bool:
     return (robot.path.parent / name.removeprefix("file://")).resolve().is_relative_to(folder.resolve())
 
 
-def _not_replaced(path: Path, why: str) -> str:
-    return (
+def _refuse(path: Path, why: str) -> NoReturn:
+    raise AssetError(
         f"'{path}' {why}, and is not replaced, not even with --force: name another path with --out, beside "
         "which the mended copy is written."
     )

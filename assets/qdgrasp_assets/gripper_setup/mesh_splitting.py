@@ -5,7 +5,7 @@ The simulator wraps each mesh in its convex hull, and so fills those that are ho
 
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import isclose
 from pathlib import Path, PurePosixPath
@@ -43,39 +43,26 @@ class HollowMesh:
 
 
 def hollow_meshes(hand: Urdf) -> Iterator[HollowMesh]:
-    """Return the collision meshes of a hand whose hulls are much larger than they are."""
+    """Yield the collision meshes of a hand whose hulls are much larger than they are."""
     for link, shape in collision_elements(hand):
-        mesh = shape.find("geometry/mesh")
-        if mesh is None or shape.get(CONCAVE) is not None:
+        element = shape.find("geometry/mesh")
+        if element is None or shape.get(CONCAVE) is not None:
             continue
         parts = tuple(hull(corners) for corners in collision_corners(hand, link, shape) if is_solid(corners))
-        surface = read_shape(hand, shape, mesh)
-        if not parts or are_all_of(surface, parts):
+        mesh, frame = read_mesh_of(hand.path, element), parse_origin(hand.path, shape.find("origin"))
+        surface = Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces)
+        volume = sum(part.volume for part in parts)
+        if not parts or isclose(volume, surface.volume, rel_tol=VOLUME_TOLERANCE):
             continue
         filled = FingerClearance(surface).fit(parts).filled
         if filled > MUCH_FILLED:
-            yield HollowMesh(link, mesh.get("filename", ""), filled)
-
-
-def are_all_of(mesh: Mesh, hulls: Sequence[Mesh]) -> bool:
-    """Return whether convex parts are the whole mesh, by volume."""
-    return isclose(sum(part.volume for part in hulls), mesh.volume, rel_tol=VOLUME_TOLERANCE)
-
-
-def read_shape(hand: Urdf, shape: ET.Element, element: ET.Element) -> Mesh:
-    """Return the triangles of a `<mesh>` shape in its link's frame [m]."""
-    mesh = read_mesh_of(hand.path, element)
-    frame = parse_origin(hand.path, shape.find("origin"))
-    return Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces)
+            yield HollowMesh(link, element.get("filename", ""), filled)
 
 
 def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
     """Read the mesh that a `<mesh>` names, scaled; coincident vertices merged.
 
-    Raises
-    ------
-    AssetError
-        The mesh does not exist, or cannot be read.
+    Raises `AssetError` if it does not exist, or cannot be read.
     """
     import trimesh
 
@@ -110,16 +97,10 @@ Tell = Callable[[str], None]
 
 
 class MeshSplitter:
-    """Rewrites the collision meshes of a hand.
+    """Rewrites the collision meshes of the hand whose URDF is at `path`.
 
-    Parameters
-    ----------
-    path
-        The URDF that names them.
-    folder
-        Folder of the new meshes, relative to the URDF that will be written.
-    tell
-        Called with a sentence before each slow step.
+    The new meshes go to `folder`, relative to the URDF that will be written. `tell` is called with a sentence
+    before each slow step.
     """
 
     def __init__(self, path: Path, folder: str, tell: Tell) -> None:
@@ -139,7 +120,7 @@ class MeshSplitter:
                 continue
             key = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
             if key not in self._done:
-                self._done[key] = self._made(link, mesh)
+                self._done[key] = self._rewrite(link, mesh)
             file, words = self._done[key]
             mesh.attrib.pop("scale", None)
             mesh.set("filename", file)
@@ -148,56 +129,64 @@ class MeshSplitter:
 
     def corners(self, hand: Urdf, link: str) -> tuple[Floats, ...]:
         """Return the corners (v, 3) of the mended link's convex parts [m], link frame."""
-        return tuple(
-            corners
-            for name, shape in collision_elements(hand)
-            if name == link
-            for corners in self._corners(hand, link, shape)
-        )
+        found: list[Floats] = []
+        for name, shape in collision_elements(hand):
+            if name != link:
+                continue
+            mesh = shape.find("geometry/mesh")
+            if mesh is None:
+                found += collision_corners(hand, link, shape)
+                continue
+            frame = parse_origin(hand.path, shape.find("origin"))
+            for corners in obj_group_corners(self.files[mesh.get("filename", "")].decode()):
+                found.append(corners @ frame[:3, :3].T + frame[:3, 3])
+        return tuple(found)
 
-    def _corners(self, hand: Urdf, link: str, shape: ET.Element) -> Iterator[Floats]:
-        mesh = shape.find("geometry/mesh")
-        if mesh is None:
-            yield from collision_corners(hand, link, shape)
-            return
-        frame = parse_origin(hand.path, shape.find("origin"))
-        for corners in obj_group_corners(self.files[mesh.get("filename", "")].decode()):
-            yield corners @ frame[:3, :3].T + frame[:3, 3]
-
-    def _made(self, link: str, element: ET.Element) -> tuple[str, str]:
+    def _rewrite(self, link: str, element: ET.Element) -> tuple[str, str]:
         """Write a mesh anew; return its new name and the change."""
-        name = element.get("filename", "")
-        mesh, words = _in_metres(read_mesh_of(self._path, element))
-        parts, more = self._parts(link, name, element, mesh)
-        file = self._new_name(PurePosixPath(name).stem)
+        name, words = element.get("filename", ""), []
+        mesh = read_mesh_of(self._path, element)
+        side = float(np.ptp(mesh.vertices, axis=0).max())
+        if side > LARGEST_SHAPE:
+            mesh = mesh.scaled(MILLIMETRES)
+            words.append(f"was {side:.4g} m large, and is taken for millimetres")
+        parts, change = self._parts(link, name, element, mesh)
+        stem, number = PurePosixPath(name).stem, 1
+        file = f"{self._folder}/{stem}.obj"
+        while file in self.files:
+            file, number = f"{self._folder}/{stem}_{number}.obj", number + 1
         self.files[file] = parts_to_obj(parts)
-        return file, " and ".join(told for told in (words, more) if told)
+        return file, " and ".join([*words, *([change] if change else [])])
 
     def _parts(self, link: str, name: str, element: ET.Element, mesh: Mesh) -> tuple[tuple[Mesh, ...], str]:
-        """Return the convex parts that stand for a mesh, and the change in words."""
-        own = self._own(name, element, mesh)
-        room = FingerClearance(mesh)
-        filled = room.fit(own).filled
+        """Return the convex parts that stand for a mesh, and the change in words.
+
+        They are the fewest that leave the free space, else the finest.
+        """
+        own, clearance = self._hulls_of(name, element, mesh), FingerClearance(mesh)
+        filled = clearance.fit(own).filled
         if filled <= MUCH_FILLED:
-            return own, "" if _is_taken(
-                self._path, name
-            ) else "was made a convex hull, as the simulator reads no such file"
+            kind = PurePosixPath(name).suffix.lower()
+            is_text = kind == ".stl" and stl_triangles(mesh_bytes(self._path, name)) is None
+            is_read = kind in SIMULATOR_FORMATS and not is_text
+            return own, "" if is_read else "was made a convex hull, as the simulator reads no such file"
         self._tell(f"splitting the mesh '{name}' of the link '{link}' into convex parts")
+        thin, percent = thin_mesh(mesh), f"{100 * filled:.0f} %"
         try:
-            found, left = _split_mesh(mesh, name, room)
+            for threshold in THRESHOLDS:
+                found = decompose(thin, name, threshold, TIME_LIMIT)
+                left = clearance.fit(found).filled
+                if left <= MUCH_FILLED:
+                    break
         except DecompositionTimeout:
-            return (
-                own,
-                f"stays a hull that fills the room before {100 * filled:.0f} % of its surface: no parts "
-                "were found in time",
-            )
+            words = f"stays a hull that fills the room before {percent} of its surface"
+            return own, f"{words}: no parts were found in time"
         return found, (
-            f"was split into {len(found)} convex parts: its hull would fill the room before "
-            f"{100 * filled:.0f} % of "
-            f"its surface, they fill {100 * left:.0f} %"
+            f"was split into {len(found)} convex parts: its hull would fill the room before {percent} of its "
+            f"surface, they fill {100 * left:.0f} %"
         )
 
-    def _own(self, name: str, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:
+    def _hulls_of(self, name: str, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:
         """Return the hulls that the simulator itself would make of a mesh, with few corners."""
         shapes = [mesh.vertices]
         if PurePosixPath(name).suffix.lower() == ".obj":
@@ -212,24 +201,6 @@ class MeshSplitter:
             raise AssetError(f"The mesh '{name}' is flat: it encloses no volume; give it a thickness.")
         return solids
 
-    def _new_name(self, stem: str) -> str:
-        """Return an unused name for a mesh."""
-        file, turn = f"{self._folder}/{stem}.obj", 1
-        while file in self.files:
-            file, turn = f"{self._folder}/{stem}_{turn}.obj", turn + 1
-        return file
-
-
-def _split_mesh(mesh: Mesh, name: str, room: FingerClearance) -> tuple[tuple[Mesh, ...], float]:
-    """Return the fewest parts that leave the free space, else the finest; and the share filled."""
-    thin = thin_mesh(mesh)
-    for threshold in THRESHOLDS:
-        found = decompose(thin, name, threshold, TIME_LIMIT)
-        left = room.fit(found).filled
-        if left <= MUCH_FILLED:
-            break
-    return found, left
-
 
 def thin_mesh(mesh: Mesh) -> Mesh:
     """Merge vertices nearer than a finger can tell, in a mesh of many triangles."""
@@ -243,18 +214,3 @@ def thin_mesh(mesh: Mesh) -> Mesh:
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     _, first = np.unique(np.sort(faces[whole], axis=1), axis=0, return_index=True)
     return Mesh(middles, faces[whole][np.sort(first)])
-
-
-def _in_metres(mesh: Mesh) -> tuple[Mesh, str]:
-    side = float(np.ptp(mesh.vertices, axis=0).max())
-    if side <= LARGEST_SHAPE:
-        return mesh, ""
-    return Mesh(
-        mesh.vertices * MILLIMETRES, mesh.faces
-    ), f"was {side:.4g} m large, and is taken for millimetres"
-
-
-def _is_taken(path: Path, name: str) -> bool:
-    """Return whether the simulator reads a mesh file as it is."""
-    kind = PurePosixPath(name).suffix.lower()
-    return kind in SIMULATOR_FORMATS and (kind != ".stl" or stl_triangles(mesh_bytes(path, name)) is not None)

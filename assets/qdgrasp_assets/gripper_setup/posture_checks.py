@@ -60,13 +60,7 @@ def posture_faults(file: GripperFile, body: HandModel) -> tuple[str, ...]:
             "no finger link has a collision shape, so that none could touch; those that move and have: "
             f"{links}",
         )
-    return (
-        *_mimic_faults(hand),
-        *_open_overlaps(hand),
-        *_closing_faults(hand),
-        *_looks_away(hand),
-        *_reach_faults(hand),
-    )
+    return (*_mimic_faults(hand), *_open_overlaps(hand), *_closing_faults(hand), *_approach_faults(hand))
 
 
 def _mimic_faults(hand: HandPostures) -> Iterator[str]:
@@ -75,7 +69,7 @@ def _mimic_faults(hand: HandPostures) -> Iterator[str]:
     for name, follower in hand.body.followers.items():
         for label, share in (("open", 0.0), ("closed", 1.0)):
             posture = hand.posture(share)
-            meant = float(np.clip(follower.at(posture[follower.leader]), *hand.body.range(name)))
+            meant = float(np.clip(follower.position(posture[follower.leader]), *hand.body.range(name)))
             if (
                 name in joints
                 and joints[name].driven
@@ -105,10 +99,10 @@ def is_always_deep(hand: HandPostures, one: str, other: str) -> bool:
 
 def deep_pairs(hand: HandPostures, share: float) -> Iterator[tuple[str, str, float]]:
     """Yield pairs of links that are not neighbours and are deep in each other."""
-    mounts = hand.body.mounts
-    arms = {mounts[joint.child]: mounts[joint.parent] for joint in hand.body.robot.joints if joint.moves}
+    pieces = hand.body.rigid_piece
+    arms = {pieces[joint.child]: pieces[joint.parent] for joint in hand.body.robot.joints if joint.moves}
     for one, other in combinations(hand.body.parts, 2):
-        first, second = mounts[one], mounts[other]
+        first, second = pieces[one], pieces[other]
         are_near = first == second or arms.get(first) == second or arms.get(second) == first
         deep = 0.0 if are_near else depth_at(hand, one, other, share)
         if deep > DEEP_OVERLAP:
@@ -117,7 +111,7 @@ def deep_pairs(hand: HandPostures, share: float) -> Iterator[tuple[str, str, flo
 
 def depth_at(hand: HandPostures, one: str, other: str, share: float) -> float:
     """Return the depth of two links in each other at a share of the way [m]."""
-    placed = hand.body.placed(hand.posture(share), (one, other))
+    placed = hand.body.parts_at(hand.posture(share), (one, other))
     return overlap_depth(placed[one], placed[other])
 
 
@@ -129,20 +123,36 @@ def _closing_faults(hand: HandPostures) -> Iterator[str]:
         return
     if not closing.fingers:
         return
-    courses = [_apart(hand, share) for share in np.linspace(0, 1, 9)]
-    if min(courses) >= NEARER * courses[0] and len(closing.fingers) == 1:
+    distances = [_tip_distance(hand, share) for share in np.linspace(0, 1, 9)]
+    if min(distances) >= NEARER * distances[0] and len(closing.fingers) == 1:
         yield (
             "only one finger moves, it does not close on the line of approach, and nothing is fixed opposite "
             "to it: a hand grasps from two sides (suction is not simulated)"
         )
-    elif min(courses) >= NEARER * courses[0]:
+    elif min(distances) >= NEARER * distances[0]:
         yield (
-            f"the fingers do not close: their tips are {1000 * courses[0]:.0f} mm apart when open and "
-            f"{1000 * courses[-1]:.0f} mm when closed; swap open and closed, or correct them"
+            f"the fingers do not close: their tips are {1000 * distances[0]:.0f} mm apart when open and "
+            f"{1000 * distances[-1]:.0f} mm when closed; swap open and closed, or correct them"
         )
 
 
-def _apart(hand: HandPostures, share: float) -> float:
+def _approach_faults(hand: HandPostures) -> Iterator[str]:
+    """Yield faults of an approach axis that points away, and a palm beyond the fingers."""
+    if approach_angle(hand) > LOOKS_AWAY:
+        axis = join_numbers(grasp_inference.approach_direction(hand.closing))
+        yield f"approach_axis points away from the fingers, which are toward [{axis}]; turn it round"
+    if not hand.closing.fingers:
+        return
+    reach, offset = grasp_inference.finger_reach(hand.closing, hand.axis), hand.file.palm_offset
+    if offset >= reach:
+        end = grasp_inference.palm_surface(hand.body, hand.axis)[0]
+        yield (
+            f"palm_offset is {offset:g} m along the approach axis, and the fingers reach no farther than "
+            f"{reach:.4g} m; the palm's shapes end at {end:.4g} m"
+        )
+
+
+def _tip_distance(hand: HandPostures, share: float) -> float:
     """Return the mean distance of fingertips [m]; of a single one, to the approach line."""
     frames = hand.body.frames(hand.posture(share))
     tips = [finger.tip(frames) for finger in hand.closing.fingers]
@@ -158,24 +168,6 @@ def approach_angle(hand: HandPostures) -> float:
     return float(np.arccos(np.clip(hand.axis @ grasp_inference.approach_direction(hand.closing), -1, 1)))
 
 
-def _looks_away(hand: HandPostures) -> Iterator[str]:
-    if approach_angle(hand) > LOOKS_AWAY:
-        axis = join_numbers(grasp_inference.approach_direction(hand.closing))
-        yield f"approach_axis points away from the fingers, which are toward [{axis}]; turn it round"
-
-
-def _reach_faults(hand: HandPostures) -> Iterator[str]:
-    if not hand.closing.fingers:
-        return
-    reach, offset = grasp_inference.finger_reach(hand.closing, hand.axis), hand.file.palm_offset
-    if offset >= reach:
-        yield (
-            f"palm_offset is {offset:g} m along the approach axis, and the fingers reach no farther than "
-            f"{reach:.4g} m; the palm's shapes end at "
-            f"{grasp_inference.palm_surface(hand.body, hand.axis)[0]:.4g} m"
-        )
-
-
 AXIS_OFF = np.radians(35.0)  # Angle between approach axis and fingers from which it is noted [rad]
 PALM_OFF, STANDOFF_OFF, JAW_OFF = 0.03, 0.02, 0.015
 """Tolerances of palm_offset, stand-off and jaw opening against the shapes [m]."""
@@ -187,135 +179,91 @@ SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the cl
 def posture_notes(file: GripperFile, body: HandModel) -> tuple[str, ...]:
     """Return the notes on a gripper's file."""
     hand = HandPostures(file, body)
-    notes = (
-        _shapeless,
-        _inclined,
-        _beside,
-        _palm,
-        _standoff,
-        _jaw,
-        _crossing,
-        _slow,
-        _driven_genes,
-        _linkage,
-    )
-    return tuple(words for note in notes for words in note(hand))
+    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand))
 
 
-def _linkage(hand: HandPostures) -> Iterator[str]:
-    found = [
-        f"'{one}' and '{other}'"
-        for one, other, _ in deep_pairs(hand, 0.0)
-        if is_always_deep(hand, one, other)
-    ]
-    if found:
-        yield f"in each other in every posture, as links of one linkage are: {', '.join(found)}"
-
-
-def _inclined(hand: HandPostures) -> Iterator[str]:
-    if LOOKS_AWAY >= approach_angle(hand) > AXIS_OFF:
-        axis = join_numbers(grasp_inference.approach_direction(hand.closing))
-        yield (
-            f"approach_axis is {np.degrees(approach_angle(hand)):.0f} degrees from where the "
-            f"fingers close, [{axis}]"
-        )
-
-
-def _shapeless(hand: HandPostures) -> Iterator[str]:
-    bare = [link for link in hand.file.finger_links if link not in hand.body.parts]
+def _approach_notes(hand: HandPostures) -> Iterator[str]:
+    """Yield notes on finger links, approach axis, palm and stand-off."""
+    file, closing, angle = hand.file, hand.closing, approach_angle(hand)
+    bare = [link for link in file.finger_links if link not in hand.body.parts]
     if bare:
         yield f"finger links without a collision shape, which touch nothing: {', '.join(bare)}"
-
-
-def _beside(hand: HandPostures) -> Iterator[str]:
-    if hand.closing.fingers and (aside := grasp_inference.axis_offset(hand.closing, hand.axis)) > BESIDE:
+    if LOOKS_AWAY >= angle > AXIS_OFF:
+        axis = join_numbers(grasp_inference.approach_direction(closing))
+        yield f"approach_axis is {np.degrees(angle):.0f} degrees from where the fingers close, [{axis}]"
+    if closing.fingers and (aside := grasp_inference.axis_offset(closing, hand.axis)) > BESIDE:
         yield (
             f"the fingers close {1000 * aside:.0f} mm beside the line through the base link along the "
             "approach axis, which is where objects are: few grasps will be found, unless the base link is "
             "in the middle (`qdgrasp gripper new --mend` puts one there)"
         )
-
-
-def _palm(hand: HandPostures) -> Iterator[str]:
     surface, is_met = grasp_inference.palm_surface(hand.body, hand.axis)
-    if grasp_inference.palm_links(hand.body) and is_met and abs(surface - hand.file.palm_offset) > PALM_OFF:
-        yield f"palm_offset is {hand.file.palm_offset:g} m, and the palm's shapes end at {surface:.4g} m"
+    if grasp_inference.palm_links(hand.body) and is_met and abs(surface - file.palm_offset) > PALM_OFF:
+        yield f"palm_offset is {file.palm_offset:g} m, and the palm's shapes end at {surface:.4g} m"
+    if closing.fingers:
+        far = grasp_inference.finger_reach(closing, hand.axis) - file.palm_offset
+        if file.standoff[1] > far + STANDOFF_OFF:
+            reach = f"the fingers reach {far:.4g} m beyond the palm"
+            yield f"standoff goes to {file.standoff[1]:g} m, and {reach}"
 
 
-def _standoff(hand: HandPostures) -> Iterator[str]:
-    if not hand.closing.fingers:
-        return
-    room = grasp_inference.finger_reach(hand.closing, hand.axis) - hand.file.palm_offset
-    if hand.file.standoff[1] > room + STANDOFF_OFF:
-        yield (
-            f"standoff goes to {hand.file.standoff[1]:g} m, and the fingers reach {room:.4g} m "
-            "beyond the palm"
-        )
-
-
-def _jaw(hand: HandPostures) -> Iterator[str]:
+def _jaw_notes(hand: HandPostures) -> Iterator[str]:
     across = grasp_inference.jaw_axis(hand.closing, hand.axis) if hand.closing.fingers else None
     jaw = hand.file.jaw
-    if across is None or (room := grasp_inference.jaw_opening(hand.closing, hand.axis, across)) <= 0:
+    if across is None or (gap := grasp_inference.jaw_opening(hand.closing, hand.axis, across)) <= 0:
         return
     axis = join_numbers(across)
     if jaw is None:
         yield (
-            f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {room:.4g} "
+            f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {gap:.4g} "
             "it could use antipodal methods"
         )
-    elif abs(across @ jaw.packed.axis) < np.cos(AXIS_OFF):
+    elif abs(across @ jaw.to_scene().axis) < np.cos(AXIS_OFF):
         yield f"jaw.axis is [{join_numbers(jaw.axis)}], and the fingers oppose each other along [{axis}]"
-    elif abs(room - jaw.opening) > JAW_OFF:
-        yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {room:.4g} m"
+    elif abs(gap - jaw.opening) > JAW_OFF:
+        yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {gap:.4g} m"
 
 
-def _crossing(hand: HandPostures) -> Iterator[str]:
-    """Note fingers that close through each other."""
-    found = sorted(_crossed(hand), reverse=True)
-    if not found:
-        return
-    (deep, one, other), others = found[0], len(found) - 1
-    meets = next(share for share in CLOSING_COURSE if depth_at(hand, one, other, share) >= DEEP_OVERLAP)
-    more = f" (and {counted(others, 'other pair')} of links)" if others else ""
-    yield (
-        f"the fingers close through each other: '{one}' and '{other}', which are apart when open, meet at "
-        f"{100 * meets:.0f} % of the way and end {1000 * deep:.0f} mm in each other{more}; the simulator "
-        "lets them, so that they may hold thin objects as no real hand can: close them less far"
-    )
-
-
-def _crossed(hand: HandPostures) -> Iterator[tuple[float, str, str]]:
-    """Yield depth [m] and names of finger links that overlap when closed and not when open."""
-    touching = set(hand.file.finger_links)
+def _closing_notes(hand: HandPostures) -> Iterator[str]:
+    """Yield notes on crossing and slow fingers, driven genes and linkages."""
+    file, touching = hand.file, set(hand.file.finger_links)
+    crossed = []  # finger links that overlap when closed and not when open
     for finger, another in combinations(hand.closing.fingers, 2):
         for one, other in product(finger.links, another.links):
             deep = depth_at(hand, one, other, 1.0) if {one, other} <= touching else 0.0
             if deep >= CROSSED and depth_at(hand, one, other, 0.0) < DEEP_OVERLAP:
-                yield deep, one, other
-
-
-def _slow(hand: HandPostures) -> Iterator[str]:
-    late = {name: _time(hand, name) for name in hand.closing.closed}
-    late = {name: time for name, time in late.items() if time > SLOW * CLOSING_TIME}
+                crossed.append((deep, one, other))
+    if crossed:
+        deep, one, other = max(crossed)
+        meets = next(share for share in CLOSING_COURSE if depth_at(hand, one, other, share) >= DEEP_OVERLAP)
+        more = f" (and {counted(len(crossed) - 1, 'other pair')} of links)" if len(crossed) > 1 else ""
+        yield (
+            f"the fingers close through each other: '{one}' and '{other}', which are apart when open, meet "
+            f"at {100 * meets:.0f} % of the way and end {1000 * deep:.0f} mm in each other{more}; the "
+            "simulator lets them, so that they may hold thin objects as no real hand can: close them less far"
+        )
+    late = []
+    for name, closed in hand.closing.closed.items():
+        table, joint = file.joints[name], hand.body.joint(name)
+        velocity = joint.velocity if table.velocity is None else table.velocity
+        time = abs(closed - table.open) / velocity if velocity > 0 else 0.0
+        if time > SLOW * CLOSING_TIME:
+            late.append(f"{name} needs {time:.2g} s")
     if late:
-        names = ", ".join(f"{name} needs {time:.2g} s" for name, time in late.items())
         yield (
             f"an evaluation closes the hand for {CLOSING_TIME:.2f} s, in which it does not close wholly: "
-            f"{names}"
+            f"{', '.join(late)}"
         )
-
-
-def _time(hand: HandPostures, name: str) -> float:
-    table, joint = hand.file.joints[name], hand.body.joint(name)
-    velocity = joint.velocity if table.velocity is None else table.velocity
-    return abs(hand.closing.closed[name] - table.open) / velocity if velocity > 0 else 0.0
-
-
-def _driven_genes(hand: HandPostures) -> Iterator[str]:
-    driven = [name for name in hand.file.free_joints if hand.file.joints[name].driven]
+    driven = [name for name in file.free_joints if file.joints[name].driven]
     if driven:
         yield (
             "free joints that are driven go back to their open place while the hand closes: "
             f"{', '.join(driven)}"
         )
+    linked = [
+        f"'{one}' and '{other}'"
+        for one, other, _ in deep_pairs(hand, 0.0)
+        if is_always_deep(hand, one, other)
+    ]
+    if linked:
+        yield f"in each other in every posture, as links of one linkage are: {', '.join(linked)}"

@@ -1,1 +1,1 @@
-"""Grippers: their files and checks, the hand model, and the built-in hands with one TOML each."""
+"""Grippers: their files and checks, the hand model, and the built-in hands."""

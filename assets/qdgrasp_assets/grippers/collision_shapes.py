@@ -7,11 +7,10 @@ here has no corners.
 
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import PurePosixPath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,8 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh, read_obj, stl_triangles
 from qdgrasp_assets.geometry.primitives import geodesic
 from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
 from qdgrasp_protocol.errors import AssetError
+
+FORMS = ("mesh", "box", "cylinder", "sphere")  # The geometries of URDF
 
 
 @dataclass(frozen=True)
@@ -36,17 +37,14 @@ class CollisionShape:
 def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:
     """Yield the collision shapes of a robot's links; `files` holds its meshes by name.
 
-    Raises
-    ------
-    AssetError
-        A mesh has no triangles.
+    Raises `AssetError` if a mesh has no triangles.
     """
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):
             geometry = collision.find("geometry")
             if geometry is None or not len(geometry):
                 continue
-            mesh, name = TRIANGLE_FORMS[geometry[0].tag](geometry[0], files), link.get("name", "")
+            mesh, name = _triangles(geometry[0], files), link.get("name", "")
             if not len(mesh.faces):
                 raise AssetError(
                     f"The URDF '{robot.path}' has an empty collision shape: the mesh of link '{name}' has no "
@@ -67,71 +65,37 @@ def largest_side(robot: Urdf, files: Mapping[str, bytes]) -> float:
     return float(np.ptp(np.concatenate(corners), axis=0).max()) if corners else 0.0
 
 
-def _mesh_triangles(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
-    name = element.get("filename", "")
-    mesh = _read_mesh(files[name], PurePosixPath(name).suffix.removeprefix(".").lower())
-    return Mesh(mesh.vertices * attribute_numbers(element, "scale", "1 1 1"), mesh.faces)
+def _triangles(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
+    """Return the triangles of a geometry of URDF, coincident vertices merged.
 
-
-def _read_mesh(content: bytes, kind: str) -> Mesh:
-    """Read a mesh file, coincident vertices merged.
-
-    Collada and others are read by trimesh, which takes long to import.
+    Round shapes, Collada files and others are made by trimesh, which takes long to import.
     """
-    corners = TRIANGLE_READERS[kind](content) if kind in TRIANGLE_READERS else None
-    if corners is not None:
-        vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-        return Mesh(vertices, faces.reshape(-1, 3).astype(np.int64))
+    name, scale = element.get("filename", ""), [1.0, 1.0, 1.0]
+    kind = PurePosixPath(name).suffix.lower()
+    if element.tag == "mesh":
+        corners = stl_triangles(files[name]) if kind == ".stl" else None
+        if kind == ".obj":
+            read = read_obj(files[name].decode("utf-8", "replace"))
+            corners = np.concatenate([np.zeros((0, 3, 3)), *(read.vertices[group] for group in read.groups)])
+        scale = attribute_numbers(element, "scale", "1 1 1")
+        if corners is not None:
+            vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+            return Mesh(vertices * scale, faces.reshape(-1, 3).astype(np.int64))
     import trimesh
 
-    return _mesh_of_trimesh(trimesh.load_mesh(io.BytesIO(content), file_type=kind))
-
-
-def _obj_triangles(content: bytes) -> Floats:
-    """Return the corners (f, 3, 3) of the triangles of an OBJ file."""
-    read = read_obj(content.decode("utf-8", "replace"))
-    return np.concatenate([np.zeros((0, 3, 3)), *(read.vertices[group] for group in read.groups)])
-
-
-TRIANGLE_READERS: dict[str, Callable[[bytes], Floats | None]] = {"stl": stl_triangles, "obj": _obj_triangles}
-"""Own readers by file type."""
-
-
-def _box_triangles(element: ET.Element, _: Mapping[str, bytes]) -> Mesh:
-    import trimesh
-
-    return _mesh_of_trimesh(trimesh.creation.box(attribute_numbers(element, "size", "0 0 0")))
-
-
-def _cylinder_triangles(element: ET.Element, _: Mapping[str, bytes]) -> Mesh:
-    import trimesh
-
-    return _mesh_of_trimesh(
-        trimesh.creation.cylinder(float(element.get("radius", 0)), float(element.get("length", 0)))
-    )
-
-
-def _sphere_triangles(element: ET.Element, _: Mapping[str, bytes]) -> Mesh:
-    import trimesh
-
-    return _mesh_of_trimesh(
-        trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0)))
-    )
-
-
-def _mesh_of_trimesh(mesh: Any) -> Mesh:
-    """Convert a trimesh mesh to a `Mesh`."""
+    match element.tag:
+        case "mesh":
+            mesh = trimesh.load_mesh(io.BytesIO(files[name]), file_type=kind.removeprefix("."))
+        case "box":
+            mesh = trimesh.creation.box(attribute_numbers(element, "size", "0 0 0"))
+        case "cylinder":
+            mesh = trimesh.creation.cylinder(float(element.get("radius", 0)), float(element.get("length", 0)))
+        case "sphere":
+            mesh = trimesh.creation.icosphere(subdivisions=3, radius=float(element.get("radius", 0)))
+        case unknown:
+            raise KeyError(unknown)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    return Mesh(np.array(mesh.vertices), np.array(mesh.faces))
-
-
-TRIANGLE_FORMS = {
-    "mesh": _mesh_triangles,
-    "box": _box_triangles,
-    "cylinder": _cylinder_triangles,
-    "sphere": _sphere_triangles,
-}
-"""The geometries of URDF."""
+    return Mesh(np.array(mesh.vertices) * scale, np.array(mesh.faces))
 
 
 def attribute_numbers(element: ET.Element, name: str, default: str) -> list[float]:
@@ -162,7 +126,7 @@ def link_convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[Conve
 
 
 def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
-    """Return whether every collision shape of a robot has parts among `convex_parts`."""
+    """Return whether every collision shape of a robot has convex parts."""
     shapes = robot.element.iterfind("link/collision")
     return all(any(True for _ in _collision_corners(robot, shape, files)) for shape in shapes)
 
@@ -170,13 +134,34 @@ def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
 def _collision_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
     """Yield the corners (v, 3) of each part of a collision shape [m], link frame."""
     geometry = collision.find("geometry")
-    if geometry is None or not len(geometry) or geometry[0].tag not in CORNER_FORMS:
+    if geometry is None or not len(geometry) or collision.get(CONCAVE) is not None:
         return
-    if collision.get(CONCAVE) is not None:
+    if geometry[0].tag not in FORMS:
         return
     frame = parse_origin(robot.path, collision.find("origin"))
-    for corners in CORNER_FORMS[geometry[0].tag](geometry[0], files):
+    for corners in _geometry_corners(geometry[0], files):
         yield corners @ frame[:3, :3].T + frame[:3, 3]
+
+
+def _geometry_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
+    """Yield the corners (v, 3) [m] of each part of a geometry of URDF, in its own frame."""
+    name = element.get("filename", "")
+    kind = PurePosixPath(name).suffix.lower()
+    if element.tag == "box":
+        yield np.array(list(product((-0.5, 0.5), repeat=3))) * attribute_numbers(element, "size", "0 0 0")
+    elif element.tag == "cylinder":
+        radius = float(element.get("radius", 0))
+        angles = np.arange(CYLINDER_SIDES) * (2 * np.pi / CYLINDER_SIDES)
+        height = np.full(CYLINDER_SIDES, float(element.get("length", 0)) / 2)
+        ring = np.stack([radius * np.cos(angles), radius * np.sin(angles), height], axis=1)
+        yield np.concatenate([ring, ring * (1.0, 1.0, -1.0)])
+    elif element.tag == "sphere":
+        yield geodesic(float(element.get("radius", 0)), 3).vertices
+    elif kind == ".obj":
+        for corners in obj_group_corners(files[name].decode("utf-8", "replace")):
+            yield corners * attribute_numbers(element, "scale", "1 1 1")
+    elif kind == ".stl" and (triangles := stl_triangles(files[name])) is not None:
+        yield np.unique(triangles.reshape(-1, 3), axis=0) * attribute_numbers(element, "scale", "1 1 1")
 
 
 def obj_group_corners(obj: str) -> Iterator[Floats]:
@@ -184,50 +169,3 @@ def obj_group_corners(obj: str) -> Iterator[Floats]:
     read = read_obj(obj)
     for group in read.groups:
         yield read.vertices[np.unique(group)]
-
-
-def _stl_corners(content: bytes) -> Iterator[Floats]:
-    """Yield the corners of all triangles of an STL file, as one part."""
-    corners = stl_triangles(content)
-    if corners is not None:
-        yield np.unique(corners.reshape(-1, 3), axis=0)
-
-
-def _obj_corners(content: bytes) -> Iterator[Floats]:
-    yield from obj_group_corners(content.decode("utf-8", "replace"))
-
-
-CORNER_READERS = {".stl": _stl_corners, ".obj": _obj_corners}
-
-
-def _mesh_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
-    name = element.get("filename", "")
-    reader = CORNER_READERS.get(PurePosixPath(name).suffix.lower())
-    for corners in reader(files[name]) if reader else ():
-        yield corners * attribute_numbers(element, "scale", "1 1 1")
-
-
-def _box_corners(element: ET.Element, _: Mapping[str, bytes]) -> Iterator[Floats]:
-    yield np.array(list(product((-0.5, 0.5), repeat=3))) * attribute_numbers(element, "size", "0 0 0")
-
-
-def _cylinder_corners(element: ET.Element, _: Mapping[str, bytes]) -> Iterator[Floats]:
-    radius, length = float(element.get("radius", 0)), float(element.get("length", 0))
-    angles = np.arange(CYLINDER_SIDES) * (2 * np.pi / CYLINDER_SIDES)
-    ring = np.stack(
-        [radius * np.cos(angles), radius * np.sin(angles), np.full(CYLINDER_SIDES, length / 2)], axis=1
-    )
-    yield np.concatenate([ring, ring * (1.0, 1.0, -1.0)])
-
-
-def _sphere_corners(element: ET.Element, _: Mapping[str, bytes]) -> Iterator[Floats]:
-    yield geodesic(float(element.get("radius", 0)), 3).vertices
-
-
-CORNER_FORMS = {
-    "mesh": _mesh_corners,
-    "box": _box_corners,
-    "cylinder": _cylinder_corners,
-    "sphere": _sphere_corners,
-}
-"""The geometries of URDF."""

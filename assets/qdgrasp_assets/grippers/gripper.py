@@ -58,12 +58,8 @@ SIX_AXES = (
 TWO_AXES = (TRANSLATION_Z, ROTATION_X)
 
 
-@dataclass(frozen=True)
-class CarriedHand:
-    """A hand on its carrier: the URDF's tree and the joints that the worker commands."""
-
-    urdf: Urdf
-    joints: tuple[CarrierJoint, ...]
+CarriedHand = tuple[Urdf, tuple[CarrierJoint, ...]]
+"""A hand on its carrier: the URDF's tree and the joints that the worker commands."""
 
 
 def released_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
@@ -75,7 +71,7 @@ def released_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
     """
     own = all(robot.joint(axis.name) for axis in SIX_AXES)
     urdf = robot if own else _compose(robot.subtree(base), base, SIX_AXES, 1.0)
-    return CarriedHand(urdf, tuple(_carrier_command(axis, hold_force, 1.0) for axis in SIX_AXES))
+    return urdf, tuple(_carrier_command(axis, hold_force, 1.0) for axis in SIX_AXES)
 
 
 def paper_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
@@ -90,12 +86,10 @@ def paper_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
         "x": inertia_about_x(hand) / PANDA_INERTIA,
     }
     urdf = _compose(hand, base, TWO_AXES, CARRIED_MASS)
-    return CarriedHand(
-        urdf,
-        tuple(
-            _carrier_command(axis, HOLD_FORCE * scales[axis.shake], scales[axis.shake]) for axis in TWO_AXES
-        ),
+    commands = (
+        _carrier_command(axis, HOLD_FORCE * scales[axis.shake], scales[axis.shake]) for axis in TWO_AXES
     )
+    return urdf, tuple(commands)
 
 
 def inertia_about_x(hand: Urdf) -> float:
@@ -138,31 +132,21 @@ def _compose(hand: Urdf, base: str, axes: tuple[CarrierAxis, ...], link_mass: fl
             f"The URDF '{hand.path}' uses the name '{min(clash)}', which the carrier needs; rename it."
         )
     robot = ET.Element("robot", name=hand.element.get("name", "hand"))
-    for link in links:
-        robot.append(_carrier_link(link, link_mass))
+    for name in links:
+        inertial = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
+        ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=f"{link_mass:g}")
+        ET.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+    velocity = f"{MAX_VELOCITY:g}"
     for axis, parent, child in zip(axes, links, [*links[1:], base], strict=True):
-        robot.append(_carrier_joint(axis, parent, child))
+        joint = ET.SubElement(robot, "joint", name=axis.name, type=axis.kind)
+        ET.SubElement(joint, "parent", link=parent)
+        ET.SubElement(joint, "child", link=child)
+        ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
+        ET.SubElement(joint, "axis", xyz=axis.axis)
+        ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=velocity)
     robot.extend(hand.element)
     return parse_robot(hand.path, robot)
-
-
-def _carrier_link(name: str, mass: float) -> ET.Element:
-    link = ET.Element("link", name=name)
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=f"{mass:g}")
-    ET.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
-    return link
-
-
-def _carrier_joint(axis: CarrierAxis, parent: str, child: str) -> ET.Element:
-    joint = ET.Element("joint", name=axis.name, type=axis.kind)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
-    ET.SubElement(joint, "axis", xyz=axis.axis)
-    ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=f"{MAX_VELOCITY:g}")
-    return joint
 
 
 @dataclass(frozen=True)
@@ -178,11 +162,8 @@ class Gripper:
     def check_hand(self) -> None:
         """Check that the simulator finds the hand's meshes, and takes its masses as they are meant.
 
-        Raises
-        ------
-        AssetError
-            A collision mesh is missing or no ordinary file; masses are made up, refused, or hold a link
-            still.
+        Raises `AssetError` if a collision mesh is missing or no ordinary file, or masses are made up,
+        refused, or hold a link still.
         """
         hand = self.robot.subtree(self.file.base_link)
         found = (*weight_faults(hand.element), *missing_meshes(hand))
@@ -192,14 +173,11 @@ class Gripper:
     def on_carrier(self, protocol: str) -> SceneGripper:
         """Return the hand as an evaluation protocol mounts it on its carrier.
 
-        Raises
-        ------
-        AssetError
-            A collision mesh is missing, empty or cannot be read.
+        Raises `AssetError` if a collision mesh is missing, empty or cannot be read.
         """
         file = self.file
-        carried = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
-        element, meshes = without_visuals(carried.urdf).bundled()
+        urdf, carrier = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
+        element, meshes = without_visuals(urdf).bundled()
         return SceneGripper(
             name=self.name,
             source=self.source,
@@ -207,7 +185,7 @@ class Gripper:
             urdf=ET.tostring(element, encoding="unicode"),
             meshes=meshes,
             base_link=file.base_link,
-            carrier=carried.joints,
+            carrier=carrier,
             joints=tuple(self._joint(name, table) for name, table in file.joints.items()),
             finger_links=file.finger_links,
             synergies=tuple(Synergy(name=each.name, joints=each.joints) for each in file.synergies),
@@ -217,7 +195,7 @@ class Gripper:
             approach_axis=unit_vector(file.approach_axis),
             palm_offset=file.palm_offset,
             standoff=file.standoff,
-            jaw=file.jaw.packed if file.jaw else None,
+            jaw=file.jaw.to_scene() if file.jaw else None,
             extent=self._extent(element, meshes),
         )
 
@@ -235,14 +213,14 @@ class Gripper:
             ) from None
 
     def _joint(self, name: str, table: JointTable) -> Joint:
-        told = self.robot.joint(name)
-        assert told is not None  # noqa: S101  # `read_gripper` has checked it
+        joint = self.robot.joint(name)
+        assert joint is not None  # noqa: S101  # `read_gripper` has checked it
         return Joint(
             name=name,
             opened=table.open,
             closed=table.open if table.closed is None else table.closed,
-            effort=told.effort if table.effort is None else table.effort,
-            velocity=told.velocity if table.velocity is None else table.velocity,
+            effort=joint.effort if table.effort is None else table.effort,
+            velocity=joint.velocity if table.velocity is None else table.velocity,
             driven=table.driven,
         )
 
@@ -250,20 +228,12 @@ class Gripper:
 def read_gripper(path: Path, name: str, source: str) -> Gripper:
     """Read a gripper's TOML and the URDF that it names.
 
-    Raises
-    ------
-    UnknownKey
-        The TOML has a key that no field has.
-    AssetError
-        A file is missing or cannot be read, a value is impossible, or the two do not fit each other.
+    Raises `UnknownKey` for a key that no field has, and `AssetError` if a file is missing or cannot be read,
+    a value is impossible, or the two do not fit each other.
     """
     file = read_gripper_file(path)
     urdf = urdf_path(path, file)
     robot = parse_robot(urdf, read_robot_element(urdf))
-    _check(path, file, robot)
-    return Gripper(name, source, file, robot)
-
-
-def _check(path: Path, file: GripperFile, robot: Urdf) -> None:
     for fault in gripper_faults(file, robot):
         raise AssetError(f"The gripper '{path}': {fault}.")
+    return Gripper(name, source, file, robot)

@@ -1,13 +1,13 @@
 """A gripper's TOML file: strict reading, and validation against its URDF.
 
-All in which the file does not fit its URDF, or is impossible, is told at once. TOML knows nan and inf, and
-no hand has them.
+All mismatches with the URDF and impossible values are listed at once. TOML knows nan and inf, and no hand has
+them.
 """
 
 import math
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,6 @@ from qdgrasp_assets.grippers.urdf_checks import kind_fault
 from qdgrasp_assets.scene import Jaw, unit_vector
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
-Tables = Mapping[str, Any]
-"""Struct of each table by its key; empty: the file itself, `joints`: each `[joints.NAME]`."""
 Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
 KINDS: dict[Any, str] = {
     str: "text",
@@ -60,23 +58,9 @@ REQUIRED_KEYS = {
 """Advice for each required field that is left out."""
 
 
-def check_values(path: Path, values: dict[str, Any], tables: Tables) -> None:
-    """Check the values of the TOML at `path`, the inner tables first.
-
-    Raises
-    ------
-    UnknownKey
-        A key that no field has.
-    AssetError
-        Fields are left out, or one is of another kind.
-    """
-    for table, label, entry in (*_inner(values, tables), ("", "", values)):
-        _check_table(path, table, label, entry, tables[table])
-
-
-def _inner(values: dict[str, Any], tables: Tables) -> Iterator[tuple[str, str, Any]]:
+def _inner_tables(values: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Yield the inner tables with their kind and name."""
-    for table in tables:
+    for table in TABLES:
         match values.get(table):
             case dict() as entry if table == "jaw":
                 yield table, table, entry
@@ -152,9 +136,8 @@ class JawTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     opening: float
     """Distance between the open fingers [m]."""
 
-    @property
-    def packed(self) -> Jaw:
-        """The jaw in a scene's form."""
+    def to_scene(self) -> Jaw:
+        """Return the jaw in a scene's form."""
         return Jaw(axis=unit_vector(self.axis), opening=self.opening)
 
 
@@ -184,22 +167,20 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return toml.parent / self.urdf
 
 
-TABLES = {
+TABLES: dict[str, Any] = {
     "": GripperFile,
     "joints": JointTable,
     "synergies": SynergyTable,
     "free_joints": FreeJointTable,
     "jaw": JawTable,
 }
+"""Struct of each table by its key; empty: the file itself, `joints`: each `[joints.NAME]`."""
 
 
 def urdf_path(path: Path, file: GripperFile) -> Path:
     """Return the path of the URDF that a gripper's file names.
 
-    Raises
-    ------
-    AssetError
-        It should be on the asset path, and is not there.
+    Raises `AssetError` if it should be on the asset path, and is not there.
     """
     found = file.find_urdf(path)
     if found is None:
@@ -213,10 +194,8 @@ def urdf_path(path: Path, file: GripperFile) -> Path:
 def read_gripper_file(path: Path) -> GripperFile:
     """Read a gripper's TOML alone.
 
-    Raises
-    ------
-    UnknownKey, AssetError
-        A key that no field has; it is not there, no TOML, or a field is left out or of another kind.
+    Raises `UnknownKey` for a key that no field has, and `AssetError` if the file is not there, no TOML, or a
+    field is left out or of another kind.
     """
     if why := path_problem(path):
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
@@ -226,28 +205,25 @@ def read_gripper_file(path: Path) -> GripperFile:
         raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise AssetError(f"'{path}' is not TOML: {error}.") from None
-    check_values(path, values, TABLES)
+    for table, label, entry in (*_inner_tables(values), ("", "", values)):
+        _check_table(path, table, label, entry, TABLES[table])
     return msgspec.convert(values, GripperFile)
 
 
-def non_finite(said: Struct) -> Iterator[str]:
-    """Yield a sentence for each number that is not finite, such as nan or infinity."""
-    for name, number in _numbers("", msgspec.to_builtins(said)):
-        if not math.isfinite(number):
-            yield f"{name} must be a finite number, got {number:g}"
+def _non_finite(value: Any, name: str = "") -> Iterator[str]:
+    """Yield a sentence for each number in `value` that is not finite.
 
-
-def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Yield the numbers within a value with their key paths; those of a list have its name."""
+    Those of a table have its key before theirs, those of a list the list's name.
+    """
     match value:
-        case float():
-            yield name, value
+        case float() if not math.isfinite(value):
+            yield f"{name} must be a finite number, got {value:g}"
         case dict():
             for key, inner in value.items():
-                yield from _numbers(f"{name}.{key}" if name else str(key), inner)
+                yield from _non_finite(inner, f"{name}.{key}" if name else str(key))
         case list() | tuple():
             for inner in value:
-                yield from _numbers(name, inner)
+                yield from _non_finite(inner, name)
 
 
 RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a right one
@@ -256,9 +232,9 @@ RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a r
 def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
     """Yield all faults of a gripper's file: impossible values, and mismatches with its URDF.
 
-    Names exist, every joint that moves is told of, numbers are possible.
+    Names must exist, the file must name every joint that moves, and numbers must be possible.
     """
-    if numbers := tuple(non_finite(file)):
+    if numbers := tuple(_non_finite(msgspec.to_builtins(file))):
         yield from numbers
         return
     unknown = tuple(_unknown_names(robot, "base_link", [file.base_link], robot.links))
@@ -287,8 +263,15 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
         if name in moving:
             yield from _joint_faults(moving[name], table)
     for name, free in file.free_joints.items():
-        if name in moving:
-            yield from _free_faults(moving[name], free)
+        if name not in moving:
+            continue
+        for label, position in (("low", free.low), ("high", free.high)):
+            yield from _limit_faults(moving[name], f"free_joints.{name}.{label}", position)
+        if free.low == free.high:
+            yield (
+                f"free_joints.{name} has one place, {free.low:g}, for low and high; make it a range, or "
+                "leave it out"
+            )
 
 
 def _unknown_names(robot: Urdf, field: str, names: Any, known: Any) -> Iterator[str]:
@@ -304,25 +287,15 @@ def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
     for label, position in (("open", table.open), ("closed", table.closed)):
         if position is not None:
             yield from _limit_faults(joint, f"joints.{joint.name}.{label}", position)
-    for label, told, value in (
+    for label, stated, value in (
         ("effort", table.effort, joint.effort),
         ("velocity", table.velocity, joint.velocity),
     ):
-        if table.driven and (value if told is None else told) <= 0:
+        if table.driven and (value if stated is None else stated) <= 0:
             yield (
                 f"the {label} of the joint '{joint.name}' must be greater than 0; the URDF has {value:g}, "
                 f"so give {label} in [joints.{joint.name}]"
             )
-
-
-def _free_faults(joint: UrdfJoint, free: FreeJointTable) -> Iterator[str]:
-    for label, position in (("low", free.low), ("high", free.high)):
-        yield from _limit_faults(joint, f"free_joints.{joint.name}.{label}", position)
-    if free.low == free.high:
-        yield (
-            f"free_joints.{joint.name} has one place, {free.low:g}, for low and high; make it a range, or "
-            "leave it out"
-        )
 
 
 def _limit_faults(joint: UrdfJoint, field: str, position: float) -> Iterator[str]:
@@ -364,17 +337,13 @@ def _number_faults(file: GripperFile) -> Iterator[str]:
         yield f"carrier_hold_force must be greater than 0, got {file.carrier_hold_force:g}"
     if not np.linalg.norm(file.approach_axis) > 0:
         yield "approach_axis must not be zero"
-    if file.jaw is not None:
-        yield from _jaw_faults(file, file.jaw)
+    if jaw := file.jaw:
+        if not jaw.opening > 0:
+            yield f"jaw.opening must be greater than 0, got {jaw.opening:g}"
+        lengths = np.linalg.norm(jaw.axis) * np.linalg.norm(file.approach_axis)
+        if not lengths > 0 or abs(np.dot(jaw.axis, file.approach_axis)) > RIGHT_ANGLE_TOLERANCE * lengths:
+            yield f"jaw.axis must be at right angles to approach_axis, got {list(jaw.axis)}"
     if not file.finger_links:
         yield "finger_links must name at least one link"
     for link in _duplicates(file.finger_links):
         yield f"finger_links names '{link}' more than once; name each link once"
-
-
-def _jaw_faults(file: GripperFile, jaw: JawTable) -> Iterator[str]:
-    if not jaw.opening > 0:
-        yield f"jaw.opening must be greater than 0, got {jaw.opening:g}"
-    lengths = np.linalg.norm(jaw.axis) * np.linalg.norm(file.approach_axis)
-    if not lengths > 0 or abs(np.dot(jaw.axis, file.approach_axis)) > RIGHT_ANGLE_TOLERANCE * lengths:
-        yield f"jaw.axis must be at right angles to approach_axis, got {list(jaw.axis)}"

@@ -1,7 +1,7 @@
 """Geometric model of a hand: joints, placed convex parts, base link and fingers.
 
-URDF's <mimic> is not known to the simulator. So each joint that follows another is driven by a motor of its
-own, to where its leader is told to go, and they move together as long as nothing is in their way.
+The simulator does not know URDF's <mimic>. So each joint that follows another is driven by a motor of its
+own, to where its leader is sent, and they move together as long as nothing is in their way.
 
 The base is the link from which several moving limbs go out, and is no arm's. Fingers are the limbs that
 move, with the tip of each; limbs of one linkage are one finger. Opposite to a single limb that moves, those
@@ -10,6 +10,7 @@ that are fixed to the palm are fingers too.
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,47 +33,43 @@ class MimicJoint:
     offset: float
     """Position at the leader's zero [rad or m]."""
 
-    def at(self, position: float) -> float:
-        """Return its position when its leader is at `position` [rad or m]."""
-        return self.multiplier * position + self.offset
+    def position(self, leader: float) -> float:
+        """Return its position where its leader is at `leader` [rad or m]."""
+        return self.multiplier * leader + self.offset
 
 
 def followers(robot: Urdf) -> dict[str, MimicJoint]:
     """Return the joints of a robot that follow other moving joints, by name."""
-    told = {
-        joint.get("name", ""): _parse_mimic(mimic)
+    mimics = {
+        joint.get("name", ""): MimicJoint(
+            mimic.get("joint", ""), float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
+        )
         for joint in robot.element.findall("joint")
         if (mimic := joint.find("mimic")) is not None
     }
     moving = {joint.name for joint in robot.joints if joint.moves}
-    found = {name: _root_leader(name, told) for name in told if name in moving}
+    found = {name: _root_leader(name, mimics) for name in mimics if name in moving}
     return {name: follower for name, follower in found.items() if follower.leader in moving - {name}}
 
 
 def with_followers(robot: Urdf, positions: Mapping[str, float]) -> dict[str, float]:
     """Return the positions of leaders [rad or m], and those of their followers."""
     following = {
-        name: each.at(positions[each.leader])
+        name: each.position(positions[each.leader])
         for name, each in followers(robot).items()
         if each.leader in positions
     }
     return {**positions, **following}
 
 
-def _parse_mimic(mimic: ET.Element) -> MimicJoint:
-    return MimicJoint(
-        mimic.get("joint", ""), float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
-    )
-
-
-def _root_leader(name: str, told: Mapping[str, MimicJoint]) -> MimicJoint:
+def _root_leader(name: str, mimics: Mapping[str, MimicJoint]) -> MimicJoint:
     """Resolve a chain of followers to the joint that leads it."""
-    follower, seen = told[name], {name}
-    while follower.leader in told and follower.leader not in seen:
+    follower, seen = mimics[name], {name}
+    while follower.leader in mimics and follower.leader not in seen:
         seen.add(follower.leader)
-        further = told[follower.leader]
+        further = mimics[follower.leader]
         follower = MimicJoint(
-            further.leader, follower.multiplier * further.multiplier, follower.at(further.offset)
+            further.leader, follower.multiplier * further.multiplier, follower.position(further.offset)
         )
     return follower
 
@@ -86,17 +83,23 @@ class ConvexSolid:
     def __init__(self, corners: Floats) -> None:
         self.low, self.high = corners.min(axis=0), corners.max(axis=0)
         self.corners = corners
-        self.planes = _planes(corners)
+        self.planes = np.zeros((0, 4))
         """(p, 4); empty for a flat hull, which overlaps nothing."""
+        from scipy.spatial import ConvexHull, QhullError
 
-    def placed(self, frame: Floats) -> "ConvexSolid":
+        with suppress(QhullError, ValueError):
+            planes = ConvexHull(corners).equations
+            _, first = np.unique(planes.round(PLANE_DECIMALS), axis=0, return_index=True)
+            self.planes = planes[np.sort(first)]
+
+    def moved(self, frame: Floats) -> "ConvexSolid":
         """Return the hull moved by `frame` (4, 4)."""
-        moved = object.__new__(ConvexSolid)
-        moved.corners = self.corners @ frame[:3, :3].T + frame[:3, 3]
-        moved.low, moved.high = moved.corners.min(axis=0), moved.corners.max(axis=0)
+        solid = object.__new__(ConvexSolid)
+        solid.corners = self.corners @ frame[:3, :3].T + frame[:3, 3]
+        solid.low, solid.high = solid.corners.min(axis=0), solid.corners.max(axis=0)
         normals = self.planes[:, :3] @ frame[:3, :3].T
-        moved.planes = np.column_stack([normals, self.planes[:, 3] - normals @ frame[:3, 3]])
-        return moved
+        solid.planes = np.column_stack([normals, self.planes[:, 3] - normals @ frame[:3, 3]])
+        return solid
 
     def depth(self, other: "ConvexSolid") -> float:
         """Return the diameter of the largest ball that is in both [m]; 0 where they are apart."""
@@ -126,34 +129,20 @@ def overlap_depth(ours: Iterable[ConvexSolid], theirs: Iterable[ConvexSolid]) ->
 def ray_exit(parts: Iterable[ConvexSolid], direction: Floats) -> float | None:
     """Return the distance along `direction` (3,) at which a ray leaves the last part [m].
 
-    The ray starts at the origin; None where it meets no part.
+    The ray starts at the origin; None where it meets no part. It is in a part between the last plane that it
+    enters through and the first that it leaves through.
     """
-    exits = [found for part in parts if (found := _part_exit(part, direction)) is not None]
+    exits = []
+    for part in parts:
+        slopes, heights = part.planes[:, :3] @ direction, part.planes[:, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ways = -heights / slopes
+        enters = max(ways[slopes < 0], default=-np.inf)
+        leaves = min(ways[slopes > 0], default=np.inf)
+        is_beside = bool((heights[slopes == 0] > 0).any())
+        if len(part.planes) and not (is_beside or enters > leaves or leaves < 0):
+            exits.append(float(leaves))
     return max(exits, default=None)
-
-
-def _part_exit(part: ConvexSolid, direction: Floats) -> float | None:
-    if not len(part.planes):
-        return None
-    slopes, heights = part.planes[:, :3] @ direction, part.planes[:, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ways = -heights / slopes
-    enters = max(ways[slopes < 0], default=-np.inf)
-    leaves = min(ways[slopes > 0], default=np.inf)
-    is_beside = bool((heights[slopes == 0] > 0).any())
-    return None if is_beside or enters > leaves or leaves < 0 else float(leaves)
-
-
-def _planes(corners: Floats) -> Floats:
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        found = ConvexHull(corners).equations
-    except (QhullError, ValueError):
-        return np.zeros((0, 4))
-    _, first = np.unique(found.round(PLANE_DECIMALS), axis=0, return_index=True)
-    planes: Floats = found[np.sort(first)]
-    return planes
 
 
 @dataclass(frozen=True)
@@ -176,24 +165,24 @@ class HandModel:
         return followers(self.robot)
 
     @cached_property
-    def mounts(self) -> dict[str, str]:
+    def rigid_piece(self) -> dict[str, str]:
         """First link of the rigid piece of each link."""
-        mounts = {self.robot.root: self.robot.root}
-        for joint in self.robot.outward(self.robot.root):
-            mounts[joint.child] = joint.child if joint.moves else mounts[joint.parent]
-        return mounts
+        pieces = {self.robot.root: self.robot.root}
+        for joint in self.robot.joints_beyond(self.robot.root):
+            pieces[joint.child] = joint.child if joint.moves else pieces[joint.parent]
+        return pieces
 
     def frames(self, posture: Mapping[str, float]) -> dict[str, Floats]:
         """Return each link's frame (4, 4) in the base link's; `posture` names followers too."""
         return self.robot.forward(posture)
 
-    def placed(
+    def parts_at(
         self, posture: Mapping[str, float], links: Iterable[str] | None = None
     ) -> dict[str, tuple[ConvexSolid, ...]]:
         """Return the convex parts of some links, or of all, in the base link's frame."""
         frames = self.frames(posture)
         return {
-            link: tuple(part.placed(frames[link]) for part in self.parts[link])
+            link: tuple(part.moved(frames[link]) for part in self.parts[link])
             for link in (self.parts if links is None else links)
         }
 
@@ -220,13 +209,7 @@ class HandModel:
 
 
 def read_hand_model(robot: Urdf, base: str) -> HandModel:
-    """Read the body of the hand that begins with link `base`.
-
-    Raises
-    ------
-    AssetError
-        A mesh is missing, or cannot be read.
-    """
+    """Read the hand that begins with link `base`; errors as of `collision_corners`."""
     hand = robot.subtree(base)
     parts: dict[str, tuple[ConvexSolid, ...]] = {}
     for link, collision in collision_elements(hand):
@@ -246,10 +229,7 @@ def collision_elements(robot: Urdf) -> Iterator[tuple[str, ET.Element]]:
 def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Floats, ...]:
     """Return the corners (v, 3) of a collision shape's convex parts [m], link frame.
 
-    Raises
-    ------
-    AssetError
-        Its mesh is missing, cannot be read, or is empty; or its form is none of URDF's.
+    Raises `AssetError` if its mesh is missing, cannot be read, or is empty; or its form is none of URDF's.
     """
     alone = ET.Element("robot")
     ET.SubElement(alone, "link", name=link).append(collision)
@@ -270,10 +250,7 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
 def mesh_bytes(path: Path, name: str) -> bytes:
     """Return the content of the mesh that the URDF at `path` refers to as `name`.
 
-    Raises
-    ------
-    AssetError
-        It does not exist, or cannot be read.
+    Raises `AssetError` if it does not exist, or cannot be read.
     """
     element = ET.Element("robot")
     link = ET.SubElement(element, "link", name="")
@@ -290,43 +267,29 @@ LARGEST_HAND = 0.5  # A hand's joints are not farther apart than this [m]
 
 def guess_base(robot: Urdf) -> tuple[str, str]:
     """Return the link where a hand begins, and the reason: several moving limbs, all near."""
-    found = [
-        link
-        for link in _unfixed_links(robot)
-        if len(moving_limbs(robot, link)) > 1 and _spread(robot, link) < LARGEST_HAND
-    ]
+    links = (robot.root, *(joint.child for joint in robot.joints_beyond(robot.root)))
+    limbs = {link: moving_limbs(robot, link) for link in links}
+    found = [link for link in links if len(limbs[link]) > 1 and _spread(robot, link) < LARGEST_HAND]
     if not found:
         link = _single_limb_base(robot)
         return link, "no link has several moving limbs; beyond this one all joints are near each other"
     first = found[0]
     others = [other for other in found if other not in robot.subtree(first).links]
     more = f"; they also do from {', '.join(others)}, which --base-link may name" if others else ""
-    link = _rigid_root(robot, _innermost_carrier(robot, found))
-    return link, f"{len(moving_limbs(robot, first))} moving limbs go out from it{more}"
+    innermost = next(link for link in reversed(found) if limbs[link] == limbs[first])
+    return _rigid_root(robot, innermost), f"{len(limbs[first])} moving limbs go out from it{more}"
 
 
 def moving_limbs(robot: Urdf, base: str) -> tuple[str, ...]:
     """Return the moving joints on link `base`, or on links that are fixed to it."""
-    mounts, found = {base}, []
-    for joint in robot.outward(base):
-        if joint.parent in mounts:
+    fixed, found = {base}, []
+    for joint in robot.joints_beyond(base):
+        if joint.parent in fixed:
             if joint.moves:
                 found.append(joint.name)
             else:
-                mounts.add(joint.child)
+                fixed.add(joint.child)
     return tuple(found)
-
-
-def _unfixed_links(robot: Urdf) -> Iterator[str]:
-    """Yield all links, from the root on."""
-    yield robot.root
-    yield from (joint.child for joint in robot.outward(robot.root))
-
-
-def _innermost_carrier(robot: Urdf, found: list[str]) -> str:
-    """Return the last of the links `found` that carry the same limbs as the first one."""
-    carried = moving_limbs(robot, found[0])
-    return next(link for link in reversed(found) if moving_limbs(robot, link) == carried)
 
 
 def _spread(robot: Urdf, base: str) -> float:
@@ -338,7 +301,7 @@ def _spread(robot: Urdf, base: str) -> float:
 
 def _single_limb_base(robot: Urdf) -> str:
     """Return the first link that carries a moving joint and beyond which all is near."""
-    parents = [joint.parent for joint in robot.outward(robot.root) if joint.moves]
+    parents = [joint.parent for joint in robot.joints_beyond(robot.root) if joint.moves]
     near = [link for link in parents if _spread(robot, link) < LARGEST_HAND]
     return _rigid_root(robot, near[0]) if near else robot.root
 
@@ -382,12 +345,22 @@ def find_fingers(body: HandModel, postures: Iterable[dict[str, float]]) -> tuple
 
     A limb without collision shapes does not count.
     """
-    placed = [body.placed(posture) for posture in postures]
+    placed = [body.parts_at(posture) for posture in postures]
     fingers: list[Finger] = []
     for name in (*moving_limbs(body.robot, body.robot.root), *fixed_limbs(body)):
         limb = _limb(body, name)
         if limb.links:
-            same = [finger for finger in fingers if _are_one(finger, limb, placed)]
+            same = [  # those that overlap in all postures are pinned together
+                finger
+                for finger in fingers
+                if all(
+                    overlap_depth(
+                        (part for link in finger.links for part in parts[link]),
+                        (part for link in limb.links for part in parts[link]),
+                    )
+                    for parts in placed
+                )
+            ]
             fingers = [finger for finger in fingers if finger not in same] + [_joined(body, [*same, limb])]
     return tuple(fingers)
 
@@ -403,17 +376,6 @@ def fixed_limbs(body: HandModel) -> tuple[str, ...]:
         way.append(arriving[way[-1]])
     beside = [joint for joint in body.robot.joints if joint.parent in way and joint.child not in way]
     return tuple(joint.name for joint in beside if not joint.moves and _limb(body, joint.name).links)
-
-
-def _are_one(one: Finger, other: Finger, placed: Iterable[dict[str, tuple[ConvexSolid, ...]]]) -> bool:
-    """Return whether two limbs overlap in all postures, as those pinned together do."""
-    return all(
-        overlap_depth(
-            (part for link in one.links for part in parts[link]),
-            (part for link in other.links for part in parts[link]),
-        )
-        for parts in placed
-    )
 
 
 def _joined(body: HandModel, limbs: list[Finger]) -> Finger:
@@ -438,7 +400,7 @@ def _limb(body: HandModel, name: str) -> Finger:
     joint = body.joint(name)
     limb = body.robot.subtree(joint.child)
     links = tuple(link for link in limb.links if link in body.parts)
-    joints = (name, *(each.name for each in body.robot.outward(joint.child) if each.moves))
+    joints = (name, *(each.name for each in body.robot.joints_beyond(joint.child) if each.moves))
     return Finger(links, joints, tuple(_tips(body, joint.child, links)))
 
 
@@ -451,9 +413,7 @@ def _tips(body: HandModel, first: str, links: tuple[str, ...]) -> Iterable[tuple
         link: np.linalg.norm(points @ frames[link][:3, :3].T + frames[link][:3, 3] - origin, axis=1)
         for link, points in corners.items()
     }
-    if not away:
-        return
-    least = (1 - TIP_SHARE) * max(distances.max() for distances in away.values())
+    least = (1 - TIP_SHARE) * max((distances.max() for distances in away.values()), default=0.0)
     for link, distances in away.items():
         if (distances >= least).any():
             yield link, corners[link][distances >= least]

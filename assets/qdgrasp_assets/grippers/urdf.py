@@ -84,7 +84,7 @@ class Urdf:
     def _mass(self, link: ET.Element) -> tuple[float, Floats]:
         mass = link.find("inertial/mass")
         place = parse_origin(self.path, link.find("inertial/origin"))[:3, 3]
-        return (1.0, np.zeros(3)) if mass is None else (_number(self.path, mass, "value"), place)
+        return (1.0, np.zeros(3)) if mass is None else (_numbers(self.path, mass, "value", 1)[0], place)
 
     def joint(self, name: str) -> UrdfJoint | None:
         """Return the joint of this name, or None."""
@@ -99,12 +99,12 @@ class Urdf:
         stand at zero.
         """
         frames = {self.root: np.eye(4) if base is None else base}
-        for joint in self.outward(self.root):
+        for joint in self.joints_beyond(self.root):
             motion = joint.motion(positions.get(joint.name, 0.0))
             frames[joint.child] = frames[joint.parent] @ joint.origin @ motion
         return frames
 
-    def outward(self, base: str) -> Iterator[UrdfJoint]:
+    def joints_beyond(self, base: str) -> Iterator[UrdfJoint]:
         """Yield the joints beyond link `base`, each after the one that carries it."""
         reached = [base]
         for link in reached:
@@ -115,8 +115,8 @@ class Urdf:
 
     def subtree(self, base: str) -> "Urdf":
         """Return the robot from link `base` outward, alone."""
-        joints = {joint.name for joint in self.outward(base)}
-        links = {base, *(joint.child for joint in self.outward(base))}
+        joints = {joint.name for joint in self.joints_beyond(base)}
+        links = {base, *(joint.child for joint in self.joints_beyond(base))}
         element = copy.deepcopy(self.element)
         for kind, kept in (("link", links), ("joint", joints)):
             for child in element.findall(kind):
@@ -133,37 +133,27 @@ class Urdf:
         """Return the robot for physics, and the mesh files that it needs by flat name.
 
         Visual shapes are left out and mesh references rewritten to the flat names; all else is as it was.
-
-        Raises
-        ------
-        AssetError
-            A mesh, of a visual shape too, is missing.
+        Raises `AssetError` if a mesh, of a visual shape too, is missing.
         """
         element = copy.deepcopy(self.element)
-        files = {name: self._mesh_file(name) for name in _mesh_names(element)}
-        for link in element.findall("link"):
-            for visual in link.findall("visual"):
-                link.remove(visual)
+        files: dict[str, Path] = {}
+        for name in (mesh.get("filename", "") for mesh in element.iter("mesh")):
+            found = next((place for place in _mesh_places(self.path, name) if place.is_file()), None)
+            if found is None:
+                raise AssetError(f"The URDF '{self.path}' refers to the mesh '{name}', which does not exist.")
+            files[name] = found
+        drop_visuals(element)
         flat: dict[str, str] = {}
         for mesh in element.iter("mesh"):
             name = mesh.get("filename", "")
             mesh.set("filename", flat.setdefault(name, f"{len(flat)}_{files[name].name}"))
         return element, {new: _mesh_bytes(files[name]) for name, new in flat.items()}
 
-    def _mesh_file(self, name: str) -> Path:
-        found = next((place for place in _mesh_places(self.path, name) if place.is_file()), None)
-        if found is None:
-            raise AssetError(f"The URDF '{self.path}' refers to the mesh '{name}', which does not exist.")
-        return found
-
 
 def read_urdf(path: Path) -> Urdf:
     """Read a robot from a URDF file.
 
-    Raises
-    ------
-    AssetError
-        It is not there, is not XML, or is not one tree of links and joints.
+    Raises `AssetError` if it is not there, is not XML, or is not one tree of links and joints.
     """
     try:
         element = ET.fromstring(path.read_text(encoding="utf-8"))  # noqa: S314  # the user's own file
@@ -179,57 +169,45 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def parse_robot(path: Path, element: ET.Element) -> Urdf:
-    """Return the robot of a `<robot>` element; its mesh references start at `path`."""
+    """Return the robot of a `<robot>` element, one tree; its mesh references start at `path`."""
     links = tuple(link.get("name", "") for link in element.findall("link"))
-    urdf = Urdf(path, element, links, tuple(_joint(path, joint) for joint in element.findall("joint")))
-    _check_tree(urdf)
-    return urdf
-
-
-def _check_tree(urdf: Urdf) -> None:
-    known = set(urdf.links)
-    for joint in urdf.joints:
+    joints = tuple(_joint(path, joint) for joint in element.findall("joint"))
+    for joint in joints:
         for link in (joint.parent, joint.child):
-            if link not in known:
+            if link not in links:
                 raise AssetError(
-                    f"The URDF '{urdf.path}': joint '{joint.name}' names the link '{link}', "
-                    "which does not exist."
+                    f"The URDF '{path}': joint '{joint.name}' names the link '{link}', which does not exist."
                 )
-    roots = known - {joint.child for joint in urdf.joints}
-    if len(roots) != 1 or len(urdf.joints) != len(urdf.links) - 1 or len(known) != len(urdf.links):
+    roots = set(links) - {joint.child for joint in joints}
+    if len(roots) != 1 or len(joints) != len(links) - 1 or len(set(links)) != len(links):
         raise AssetError(
-            f"The URDF '{urdf.path}' is not one tree: {len(urdf.links)} links, "
-            f"{len(urdf.joints)} joints, {len(roots)} roots."
+            f"The URDF '{path}' is not one tree: {len(links)} links, {len(joints)} joints, "
+            f"{len(roots)} roots."
         )
+    return Urdf(path, element, links, joints)
 
 
 def _joint(path: Path, element: ET.Element) -> UrdfJoint:
     limit = element.find("limit")
     limits = {
-        name: 0.0 if limit is None else _number(path, limit, name, 0.0)
+        name: 0.0 if limit is None or name not in limit.attrib else _numbers(path, limit, name, 1)[0]
         for name in ("lower", "upper", "effort", "velocity")
     }
     return UrdfJoint(
         name=element.get("name", ""),
         kind=element.get("type", ""),
-        parent=_end(element, "parent"),
-        child=_end(element, "child"),
+        parent=joint_end(element, "parent"),
+        child=joint_end(element, "child"),
         origin=parse_origin(path, element.find("origin")),
         axis=_axis(path, element.find("axis")),
         **limits,
     )
 
 
-def _end(joint: ET.Element, tag: str) -> str:
+def joint_end(joint: ET.Element, tag: str) -> str:
+    """Return the link that a `<joint>` names as its "parent" or "child"; empty if it names none."""
     end = joint.find(tag)
     return "" if end is None else end.get("link", "")
-
-
-def _number(path: Path, element: ET.Element, name: str, default: float | None = None) -> float:
-    text = element.get(name)
-    if text is None and default is not None:
-        return default
-    return _numbers(path, element, name, 1)[0]
 
 
 def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[float]:
@@ -246,10 +224,7 @@ def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[flo
 def parse_origin(path: Path, element: ET.Element | None) -> Floats:
     """Return the frame (4, 4) of an `<origin>`.
 
-    Raises
-    ------
-    AssetError
-        It does not hold three numbers each.
+    Raises `AssetError` if it does not hold three numbers each.
     """
     if element is None:
         return np.eye(4)
@@ -278,11 +253,6 @@ def _transform(rotation: Floats, translation: Floats) -> Floats:
     transform = np.tile(np.eye(4), (*batch, 1, 1))
     transform[..., :3, :3], transform[..., :3, 3] = rotation, translation
     return transform
-
-
-def _mesh_names(element: ET.Element) -> list[str]:
-    """Return mesh references in the order of the file, each once."""
-    return list(dict.fromkeys(mesh.get("filename", "") for mesh in element.iter("mesh")))
 
 
 def _mesh_bytes(path: Path) -> bytes:
@@ -325,60 +295,43 @@ OTHER_FORMATS = {
 def read_robot_element(path: Path) -> ET.Element:
     """Read the `<robot>` element of a URDF.
 
-    Raises
-    ------
-    AssetError
-        It is not there, is a xacro file, is not XML, or describes something else than a robot.
+    Raises `AssetError` if it is not there, is a xacro file, is not XML, or describes something else than a
+    robot.
     """
-    text = _urdf_text(path)
+    if why := path_problem(path):
+        raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
     try:
+        text = path.read_text(encoding="utf-8")
         element = ET.fromstring(text)  # noqa: S314  # the user's own file; expat refuses entities that grow
+    except OSError as error:
+        raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None
+    except UnicodeDecodeError:
+        raise AssetError(f"'{path}' is not XML but binary data; name the robot's .urdf file.") from None
     except ET.ParseError as error:
         if "<xacro:" in text:
             raise AssetError(_xacro_advice(path)) from None
         raise AssetError(
             f"'{path}' is not XML ({error}), and a URDF is; name the robot's .urdf file."
         ) from None
-    if path.suffix.lower() == ".xacro" or _is_xacro(element):
+    is_xacro = any(  # tags or expressions of xacro, but in comments
+        XACRO_TAG.match(each.tag) or any(map(XACRO_SUBSTITUTION.search, each.attrib.values()))
+        for each in element.iter()
+    )
+    if path.suffix.lower() == ".xacro" or is_xacro:
         raise AssetError(_xacro_advice(path))
     if element.tag != "robot":
-        told = OTHER_FORMATS.get(
-            element.tag, f"an XML file whose root is <{element.tag}>, and a URDF's is <robot>"
-        )
-        raise AssetError(f"'{path}' is no URDF but {told}.")
+        unknown = f"an XML file whose root is <{element.tag}>, and a URDF's is <robot>"
+        raise AssetError(f"'{path}' is no URDF but {OTHER_FORMATS.get(element.tag, unknown)}.")
     return element
 
 
-def _urdf_text(path: Path) -> str:
-    if why := path_problem(path):
-        raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None
-    except UnicodeDecodeError:
-        raise AssetError(f"'{path}' is not XML but binary data; name the robot's .urdf file.") from None
-
-
-def _is_xacro(element: ET.Element) -> bool:
-    """Return whether an element has xacro tags or expressions; comments are ignored."""
-    return any(
-        XACRO_TAG.match(each.tag) or any(XACRO_SUBSTITUTION.search(value) for value in each.attrib.values())
-        for each in element.iter()
-    )
-
-
 def _xacro_advice(path: Path) -> str:
+    stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
+    name = f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_plain.urdf"
     return (
-        f"'{path}' is a xacro file, of which a URDF is made: run `xacro {path.name} > {_plain_name(path)}` "
+        f"'{path}' is a xacro file, of which a URDF is made: run `xacro {path.name} > {name}` "
         "(from ROS, or `pip install xacro`) and name that file."
     )
-
-
-def _plain_name(path: Path) -> str:
-    """Return the name of the URDF to make of a xacro file."""
-    stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
-    return f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_plain.urdf"
 
 
 def without_visuals(robot: Urdf) -> Urdf:

@@ -1,20 +1,20 @@
 """Checks of a hand's URDF: what the simulator would not take, in words.
 
-Tree, joints, masses and meshes are checked; all that is wrong is told at once.
+Tree, joints, masses and meshes are checked, and all faults listed at once.
 """
 
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
 import numpy as np
 
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import stl_triangles
-from qdgrasp_assets.grippers.collision_shapes import TRIANGLE_FORMS
+from qdgrasp_assets.grippers.collision_shapes import FORMS
 from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements, mesh_bytes
-from qdgrasp_assets.grippers.urdf import Urdf
+from qdgrasp_assets.grippers.urdf import Urdf, joint_end
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.text import first_few, quoted
 
@@ -53,13 +53,11 @@ def _missing_links(element: ET.Element) -> Iterator[str]:
     links = {link.get("name", "") for link in element.findall("link")}
     for joint in element.findall("joint"):
         for tag in ("parent", "child"):
-            end = joint.find(tag)
-            name = "" if end is None else end.get("link", "")
-            if name not in links:
-                told = (
+            if (name := joint_end(joint, tag)) not in links:
+                fault = (
                     f"names the {tag} link '{name}', which does not exist" if name else f"has no {tag} link"
                 )
-                yield f"the joint '{joint.get('name', '')}' {told}; correct the name or add the link"
+                yield f"the joint '{joint.get('name', '')}' {fault}; correct the name or add the link"
 
 
 def _tree_faults(element: ET.Element) -> Iterator[str]:
@@ -75,11 +73,13 @@ def _tree_faults(element: ET.Element) -> Iterator[str]:
     roots = [name for name in links if name not in hanging]
     if len(roots) > 1:
         yield (
-            f"it has {len(roots)} roots ({_few_names(roots)}), and a URDF has one: join them "
-            "by fixed joints, "
-            "or leave out what is no part of the robot"
+            f"it has {len(roots)} roots ({first_few(quoted(roots), MOST_NAMED)}), and a URDF has one: join "
+            "them by fixed joints, or leave out what is no part of the robot"
         )
-    round_about = sorted(set(links) - _reached(element, roots))
+    outward, reached = list(edges(element)), set(roots)
+    while found := {child for parent, child in outward if parent in reached} - reached:
+        reached |= found
+    round_about = sorted(set(links) - reached)
     if round_about:
         yield f"{listed('link', round_about)} carried by itself in a circle of joints; cut the circle"
 
@@ -92,33 +92,16 @@ def _number_faults(element: ET.Element) -> Iterator[str]:
                 yield f'<{each.tag} {name}="{value}"> holds a number that is not finite; correct it'
 
 
-def _reached(element: ET.Element, roots: Iterable[str]) -> set[str]:
-    """Return the links that hang on the roots."""
-    outward, reached = list(edges(element)), set(roots)
-    while found := {child for parent, child in outward if parent in reached} - reached:
-        reached |= found
-    return reached
-
-
 def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
     """Yield the parent and child link of each joint; empty where a joint does not name one."""
     for joint in element.findall("joint"):
-        yield _end(joint, "parent"), _end(joint, "child")
-
-
-def _end(joint: ET.Element, which: str) -> str:
-    end = joint.find(which)
-    return "" if end is None else end.get("link", "")
+        yield joint_end(joint, "parent"), joint_end(joint, "child")
 
 
 def listed(kind: str, names: list[str]) -> str:
     """Names with their kind and its verb: "the link 'a' is", "the links 'a', 'b' are"."""
     many = len(names) > 1
-    return f"the {kind}{'s' if many else ''} {_few_names(names)} {'are' if many else 'is'}"
-
-
-def _few_names(names: list[str]) -> str:
-    return first_few(quoted(names), MOST_NAMED)
+    return f"the {kind}{'s' if many else ''} {first_few(quoted(names), MOST_NAMED)} {'are' if many else 'is'}"
 
 
 PAIR = 2
@@ -143,8 +126,8 @@ def motion_faults(element: ET.Element) -> tuple[str, ...]:
 
 def kind_fault(name: str, kind: str) -> str:
     """Return the fault in a joint's kind; empty if it has no fault."""
-    told = KINDS.get(kind, f"of the type '{kind}', and URDF knows {', '.join(KINDS)}")
-    return f"the joint '{name}' is {told}" if told else ""
+    fault = KINDS.get(kind, f"of the type '{kind}', and URDF knows {', '.join(KINDS)}")
+    return f"the joint '{name}' is {fault}" if fault else ""
 
 
 def _joint_faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]) -> Iterator[str]:
@@ -169,28 +152,26 @@ def _joint_faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]
 
 
 def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
-    """Return faults of joints whose limits Bullet ignores, or that leave no range."""
-    limits = {name: _limits(joint) for name, joint in joints.items() if joint.get("type") in LIMITED}
-    turned = [name for name, (lower, upper) in limits.items() if lower > upper]
+    """Yield faults of joints whose limits Bullet ignores, or that leave no range."""
+    turned, still = [], []
+    for name, joint in joints.items():
+        limit = joint.find("limit")
+        if joint.get("type") not in LIMITED or limit is None:
+            continue
+        found = _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}")
+        if len(found) == PAIR and found[0] > found[1]:
+            turned.append(name)
+        elif len(found) == PAIR and found[0] == found[1]:
+            still.append(name)
     if turned:
         yield (
             f"{listed('joint', turned)} limited the wrong way round, lower above upper, which the simulator "
             "takes for no limits: swap them"
         )
-    still = [name for name, (lower, upper) in limits.items() if lower == upper]
     if still:
         yield (
             f"{listed('joint', still)} limited to one place, lower equal to upper: make it fixed, or widen it"
         )
-
-
-def _limits(joint: ET.Element) -> tuple[float, float]:
-    """Return lower and upper limit; a valid range where they are not to be judged."""
-    limit = joint.find("limit")
-    found = (
-        [] if limit is None else _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}")
-    )
-    return (found[0], found[1]) if len(found) == PAIR else (0.0, 1.0)
 
 
 def _attribute_numbers(text: str) -> list[float]:
@@ -210,8 +191,13 @@ Masses = Mapping[str, float | None]
 
 def weight_faults(element: ET.Element) -> tuple[str, ...]:
     """Return the faults in the masses of a `<robot>`'s links."""
-    told = (f"{listed('link', names)} {what}" for names, what in _mass_problems(element) if names)
-    return (*told, *_heavy(_masses(element)))
+    faults = [f"{listed('link', names)} {what}" for names, what in _mass_problems(element) if names]
+    total = sum(mass or 0.0 for mass in _masses(element).values())
+    if total > HEAVIEST_HAND:
+        faults.append(
+            f"it weighs {total:.4g} kg, which looks like grams: masses are in kg, so multiply them by 0.001"
+        )
+    return tuple(faults)
 
 
 def unweighed(element: ET.Element) -> frozenset[str]:
@@ -222,19 +208,26 @@ def unweighed(element: ET.Element) -> frozenset[str]:
 def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     """Yield links by the fault in their masses."""
     inertials, masses = _inertials(element), _masses(element)
-    told = {name: inertial for name, inertial in inertials.items() if inertial is not None}
+    stated = {name: inertial for name, inertial in inertials.items() if inertial is not None}
+    lacking = [
+        name for name, each in stated.items() if each.find("mass") is None or each.find("inertia") is None
+    ]
+    # A joint along which nothing weighs stands still in Bullet, whatever its motor does; a frame of mass 0
+    # that is fixed to what has a mass moves with it.
+    pieces = _pieces(element)
+    heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
     yield (
         [name for name, inertial in inertials.items() if inertial is None],
         "without <inertial>, for which the simulator would take 1 kg: give a mass and an "
         f"inertia, {MEND_ADVICE}",
     )
     yield (
-        [name for name, inertial in told.items() if _is_incomplete(inertial)],
+        lacking,
         "with an <inertial> that lacks <mass> or <inertia>, which the simulator refuses: "
         f"give both, {MEND_ADVICE}",
     )
     yield (
-        [name for name, inertial in told.items() if not _is_incomplete(inertial) and masses[name] is None],
+        [name for name in stated if name not in lacking and masses[name] is None],
         f"of a mass that is no number: give it in kg, {MEND_ADVICE}",
     )
     yield (
@@ -242,25 +235,10 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
         f"of a negative mass: give it in kg, {MEND_ADVICE}",
     )
     yield (
-        _massless(element, masses),
+        [name for name in masses if pieces[name] not in heavy],
         "of mass 0, with all that fixed joints add: a joint that carries no mass stands still in the "
         f"simulator; give it in kg, {MEND_ADVICE}",
     )
-
-
-def _is_incomplete(inertial: ET.Element) -> bool:
-    return inertial.find("mass") is None or inertial.find("inertia") is None
-
-
-def _massless(element: ET.Element, masses: Masses) -> list[str]:
-    """Return the links of rigid pieces without any mass.
-
-    A joint along which nothing weighs stands still in Bullet, whatever its motor does; a frame of mass 0 that
-    is fixed to what has a mass moves with it.
-    """
-    pieces = _pieces(element)
-    heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
-    return [name for name in masses if pieces[name] not in heavy]
 
 
 def _pieces(element: ET.Element) -> dict[str, str]:
@@ -278,23 +256,14 @@ def _inertials(element: ET.Element) -> dict[str, ET.Element | None]:
 
 
 def _masses(element: ET.Element) -> Masses:
-    return {
-        name: None if inertial is None else _mass(inertial) for name, inertial in _inertials(element).items()
-    }
-
-
-def _mass(inertial: ET.Element) -> float | None:
-    mass = inertial.find("mass")
-    try:
-        return None if mass is None else float(mass.get("value", ""))
-    except ValueError:
-        return None
-
-
-def _heavy(masses: Masses) -> Iterator[str]:
-    total = sum(mass or 0.0 for mass in masses.values())
-    if total > HEAVIEST_HAND:
-        yield f"it weighs {total:.4g} kg, which looks like grams: masses are in kg, so multiply them by 0.001"
+    masses: dict[str, float | None] = {}
+    for name, inertial in _inertials(element).items():
+        mass = None if inertial is None else inertial.find("mass")
+        try:
+            masses[name] = None if mass is None else float(mass.get("value", ""))
+        except ValueError:
+            masses[name] = None
+    return masses
 
 
 LARGEST_SHAPE = 2.0  # Largest side of a link [m]; a larger one was drawn in millimetres
@@ -321,9 +290,9 @@ def _kind_faults(hand: Urdf) -> Iterator[str]:
         kinds.setdefault(_suffix(name), []).append(name)
     for kind in sorted(kinds.keys() - SIMULATOR_FORMATS):
         them, is_one = first_few(quoted(kinds[kind]), MOST_MESHES_NAMED), len(kinds[kind]) == 1
-        told = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
+        which = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
         yield (
-            f"{told} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
+            f"{which} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
             f"{', '.join(SIMULATOR_FORMATS)}: save {'it as one' if is_one else 'them as such'}, or use --mend"
         )
 
@@ -335,20 +304,14 @@ def _suffix(name: str) -> str:
 
 def missing_meshes(hand: Urdf) -> tuple[str, ...]:
     """Return a sentence for each collision mesh file that is missing or cannot be read."""
-    return tuple(
-        f"the mesh '{name}' of the link{'s' * (len(links) > 1)} {', '.join(quoted(links))} "
-        f"{_missing_mesh(hand, name)}"
-        for name, links in _references(hand).items()
-        if not _can_be_read(hand, name)
-    )
-
-
-def _can_be_read(hand: Urdf, name: str) -> bool:
-    try:
-        mesh_bytes(hand.path, name)
-    except AssetError:
-        return False
-    return True
+    faults = []
+    for name, links in _references(hand).items():
+        try:
+            mesh_bytes(hand.path, name)
+        except AssetError:
+            whose = f"of the link{'s' * (len(links) > 1)} {', '.join(quoted(links))}"
+            faults.append(f"the mesh '{name}' {whose} {_missing_mesh(hand, name)}")
+    return tuple(faults)
 
 
 def _references(hand: Urdf) -> dict[str, list[str]]:
@@ -381,28 +344,19 @@ def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
     form = geometry[0] if geometry is not None and len(geometry) else None
     if form is None:
         return f"a <collision> of the link '{link}' has no shape in its <geometry>; add one, or leave it out"
-    if form.tag not in TRIANGLE_FORMS:
+    if form.tag not in FORMS:
         return (
             f"the link '{link}' has a collision shape <{form.tag}>, and URDF knows "
-            f"{', '.join(TRIANGLE_FORMS)}: "
-            "make it one of those"
+            f"{', '.join(FORMS)}: make it one of those"
         )
     if form.tag == "mesh":
         return _mesh_fault(hand, link, shape, form.get("filename", ""))
-    return _size_fault(link, form)
-
-
-def _size_fault(link: str, form: ET.Element) -> str:
-    """Return the fault in the size of a box, cylinder or sphere; empty if it has no fault."""
-    told = " ".join(form.get(name, "") for name in SIZE_ATTRIBUTES[form.tag])
-    try:
-        sizes = [float(word) for word in told.split()]
-    except ValueError:
-        sizes = []
+    size = " ".join(form.get(name, "") for name in SIZE_ATTRIBUTES[form.tag])
+    sizes = _attribute_numbers(size)
     if len(sizes) == SIZE_COUNTS[form.tag] and min(sizes) > 0:
         return ""
     return (
-        f"the link '{link}' has a collision shape <{form.tag}> of the size '{told}': it takes "
+        f"the link '{link}' has a collision shape <{form.tag}> of the size '{size}': it takes "
         f"{' and '.join(SIZE_ATTRIBUTES[form.tag])}, {SIZE_COUNTS[form.tag]} in all, greater than 0"
     )
 
@@ -410,7 +364,7 @@ def _size_fault(link: str, form: ET.Element) -> str:
 def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
     mesh = f"the mesh '{name}' of the link '{link}'"
     if _suffix(name) not in SIMULATOR_FORMATS:
-        return ""  # told of all such meshes at once
+        return ""  # `_kind_faults` lists all such meshes at once
     if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand.path, name)) is None:
         return f"{mesh} is no binary STL file, which alone the simulator reads: save it as one, or use --mend"
     try:

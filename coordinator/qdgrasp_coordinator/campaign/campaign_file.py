@@ -420,4 +420,4 @@ def _read_mesh(file: Path, scale: float | None) -> ObjectDraft:
     try:
         return read_draft(file, scale)
     except AssetError as error:
-        return ObjectDraft.unread(str(error))
+        return ObjectDraft.unreadable(str(error))

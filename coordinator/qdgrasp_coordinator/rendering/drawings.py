@@ -283,7 +283,7 @@ def draw_object(target: ObjectModel, path: Path) -> None:
 
 def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
     """Draw a mesh from two sides to a PNG file, around its middle; open edges are red, those behind too."""
-    loose, middle = mesh.vertices[MeshEdges(mesh).loose], np.mean(mesh.bounds, axis=0)
+    loose, middle = mesh.vertices[MeshEdges(mesh).open_edges], np.mean(mesh.bounds, axis=0)
     turn = Rotation.from_euler("z", 180, degrees=True).as_matrix()
     sides = {"one side": np.eye(3), "the other side": turn}
     centred = {title: Mesh((mesh.vertices - middle) @ side.T, mesh.faces) for title, side in sides.items()}

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.geometry import collision_parts as collision_parts_module
 from qdgrasp_assets.geometry import collision_parts as module
 from qdgrasp_assets.geometry.collision_parts import (
     COACD_THRESHOLDS,
@@ -17,7 +16,6 @@ from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
     available_parts,
     collision_parts,
-    convex_parts,
     decompose,
     simplify_part,
 )
@@ -46,6 +44,10 @@ def angle() -> Mesh:
     return Mesh(np.array(low + high), np.array(sides + caps))
 
 
+def convex_parts(mesh, name, **options):
+    return collision_parts(mesh, name, **options)[1]
+
+
 def kept_in(cache):
     """The file of the parts of the only mesh so far."""
     (kept,) = (cache / "convex").iterdir()
@@ -55,7 +57,7 @@ def kept_in(cache):
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(collision_parts_module, "_unfinished", {})
+    monkeypatch.setattr(module, "_unfinished", {})
     return tmp_path / "cache"
 
 
@@ -79,7 +81,7 @@ def bowed() -> Mesh:
 
 @pytest.fixture
 def found(monkeypatch):
-    """What CoACD is to find, by its threshold: parts, or an error."""
+    """Results of CoACD by its threshold: parts, or an error."""
     answers: dict[float, object] = {}
 
     def decompose(mesh, name, threshold, time_limit):
@@ -88,7 +90,7 @@ def found(monkeypatch):
             raise answer
         return answer
 
-    monkeypatch.setattr(collision_parts_module, "decompose", decompose)
+    monkeypatch.setattr(module, "decompose", decompose)
     return answers
 
 
@@ -107,7 +109,7 @@ def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monk
     for part in parts:
         assert part.volume > 0
     assert [file.suffix for file in (cache / "convex").iterdir()] == [".obj"]
-    monkeypatch.setattr(collision_parts_module, "decompose", None)
+    monkeypatch.setattr(module, "decompose", None)
     again = convex_parts(angle, "angle.stl")
     assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
 
@@ -205,7 +207,7 @@ def test_parts_for_which_time_ran_out_serve_this_process_and_are_tried_again_by_
     assert not list((cache / "convex").iterdir())
     found.clear()
     assert convex_parts(surface, "mug") == (coarse,)
-    monkeypatch.setattr(collision_parts_module, "_unfinished", {})
+    monkeypatch.setattr(module, "_unfinished", {})
     found[COACD_THRESHOLDS[0]] = own
     assert len(convex_parts(surface, "mug")) == len(own)
     assert len(list((cache / "convex").iterdir())) == 1

@@ -125,7 +125,7 @@ OTHERS = {"stl_ascii", "xyz"}
 
 
 def test_a_damaged_stl_is_told_for_what_it_is(tmp_path):
-    """What is no text either is no question of packages."""
+    """Binary rubbish gives no advice about packages."""
     path = tmp_path / "part.stl"
     path.write_bytes(bytes(80) + b"\xff" * 4)
     with pytest.raises(AssetError, match=r"part\.stl' (is damaged|cannot be read)") as refused:

@@ -1,4 +1,4 @@
-"""What is guessed of a hand, held against what is known of hands whose files were written by people."""
+"""Drafts of hands, compared with files that people wrote."""
 
 import tomllib
 

@@ -46,7 +46,7 @@ class Pair:
     reference: Hand
 
     def postures(self, count):
-        """Joint positions anywhere within the limits; joints that are merged stand as in the open hand."""
+        """Random joint positions within the limits; merged joints stand as in the open hand."""
         random = np.random.default_rng(0)
         merged = {name: table.open for name, table in self.reference.gripper.file.joints.items()}
         for _ in range(count):
@@ -162,12 +162,12 @@ def placed(points, frame):
 
 
 def distance(points, others):
-    """How far 95 of 100 points are, at most, from the nearest other one [m]."""
+    """Distance within which 95 of 100 points have a nearest other one [m]."""
     return np.percentile(KDTree(others).query(points)[0], 95)
 
 
 def surfaces(hand, posture, owner):
-    """Points on the surface of each link (n, 3) [m], base frame; Bullet sees the hull of each shape."""
+    """Points on the surface of each link (n, 3) [m], base frame, of the hull of each shape."""
     element, files = hand.robot.bundled()
     frames = hand.robot.forward(posture)
     found = {}
@@ -188,7 +188,7 @@ def outer(parts):
 
 
 def inside(points, hull):
-    """Whether points (n, 3) are in a convex hull, deeper than 0.01 mm."""
+    """Mask of points (n, 3) in a convex hull, deeper than 0.01 mm."""
     normals = hull.face_normals
     offsets = (hull.triangles[:, 0] * normals).sum(axis=1)
     return (points @ normals.T - offsets).max(axis=1) < -1e-5

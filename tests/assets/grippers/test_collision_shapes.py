@@ -1,4 +1,4 @@
-"""The convex parts of a robot's collision shapes: never more than its shapes, and hardly less."""
+"""Convex parts of collision shapes: never more than the shapes, and hardly less."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Everything that can be wrong with a hand's URDF or file is told in words, and all of it at once."""
+"""Faults of a hand's URDF or file are described in words, all of them at once."""
 
 import random
 import xml.etree.ElementTree as ET
