@@ -213,5 +213,5 @@ def _play(history: History, trace: bool) -> Verdict:
     verdict.seconds, verdict.events, verdict.trace = world.now, world.events, world.trace or []
     coordinators = stage.of(Coordinator, living=False)
     verdict.counters = coordinators[-1].turn.dispatch.counters if coordinators else {}
-    verdict.journals = {run: paper.journal for run, paper in stage.disk.papers.items()}
+    verdict.journals = {run: file.journal for run, file in stage.disk.files.items()}
     return verdict

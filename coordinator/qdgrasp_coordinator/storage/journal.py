@@ -126,25 +126,25 @@ class Journal:
 
     def rows(self, first: int, limit: int) -> Rows:
         """At most `limit` rows from number `first` on, all columns."""
-        return self.stretch(first, limit).rows
+        return self.slice(first, limit).rows
 
-    def stretch(self, first: int, limit: int) -> JournalSlice:
+    def slice(self, first: int, limit: int) -> JournalSlice:
         """Return at most `limit` rows from number `first` on, with their cost and failures."""
         self.check_whole()
         stop = min(first + limit, self.count)
         if first >= stop:
             return JournalSlice(first, self.shape.empty(0))
-        return join_slices([block.part(first, stop) for block in self._stretches(first, stop)])
+        return join_slices([block.part(first, stop) for block in self._slices(first, stop)])
 
     def blocks(self) -> Iterator[Rows]:
         """All rows in order, some thousands at a time."""
-        for stretch in self.stretches():
-            yield stretch.rows
+        for part in self.slices():
+            yield part.rows
 
-    def stretches(self) -> Iterator[JournalSlice]:
+    def slices(self) -> Iterator[JournalSlice]:
         """Yield all rows in order, some thousands at a time, with their cost and failures."""
         self.check_whole()
-        return self._stretches(0, self.count)
+        return self._slices(0, self.count)
 
     def kept(self, first: int = 0, stop: int | None = None) -> Iterator[Rows]:
         """The rows that are here from number `first` up to `stop`, some thousands at a time.
@@ -152,8 +152,8 @@ class Journal:
         All rows; where the journal is reduced, the successes with their trials, source by source.
         """
         end = self.count if stop is None else stop
-        for stretch in self._stretches(first, end):
-            yield stretch.part(first, end).rows
+        for block in self._slices(first, end):
+            yield block.part(first, end).rows
 
     def successes(self) -> Rows:
         """Return every nominal success, in order, all columns; fitness 0 included (the archive A_o)."""
@@ -197,7 +197,7 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _stretches(self, first: int, stop: int) -> Iterator[JournalSlice]:
+    def _slices(self, first: int, stop: int) -> Iterator[JournalSlice]:
         """The blocks that hold rows from `first` up to `stop`, checked to follow each other."""
         query = """SELECT first, n, cpu_seconds, crc, rows FROM blocks WHERE first < ?
             AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first"""

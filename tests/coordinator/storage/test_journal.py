@@ -43,7 +43,7 @@ def make_rows(n: int, seed: int = 0) -> Rows:
 def record(folder: Path, rows: Rows, sizes: list[int]) -> None:
     """Record rows in blocks of these sizes."""
     with JournalWriter.create(folder, IDENTITY) as journal:
-        journal.begin_turn(1, 1000.0)
+        journal.begin_epoch(1, 1000.0)
         first = 0
         for size in sizes:
             journal.append(
@@ -148,7 +148,7 @@ def test_reasons_of_errors_stay_with_their_rows(tmp_path: Path) -> None:
             failures = (Failure(row=3, reason=f"aborted {first}"),)
             journal.append(JournalSlice(first, rows[first : first + 10], failures=failures), 1, 0.0)
         assert journal.errors() == {3: "aborted 0", 13: "aborted 10", 23: "aborted 20"}
-        page = journal.stretch(12, 10)
+        page = journal.slice(12, 10)
     assert [(failure.row, failure.reason) for failure in page.failures] == [(1, "aborted 10")]
 
 
@@ -165,10 +165,10 @@ def test_wall_seconds_are_those_of_each_turn_and_not_the_pauses_between(tmp_path
     rows = make_rows(20)
     with JournalWriter.create(tmp_path, IDENTITY) as journal:
         assert journal.wall_seconds == 0.0
-        journal.begin_turn(1, 100.0)
+        journal.begin_epoch(1, 100.0)
         journal.append(JournalSlice(0, rows[:10]), 1, 103.0)
-        journal.begin_turn(2, 5000.0)
-        journal.begin_turn(2, 5001.0)
+        journal.begin_epoch(2, 5000.0)
+        journal.begin_epoch(2, 5001.0)
         journal.append(JournalSlice(10, rows[10:]), 2, 5004.0)
         assert journal.wall_seconds == 7.0
 
@@ -311,7 +311,7 @@ def test_a_journal_in_a_folder_that_nobody_may_write_is_read(tmp_path: Path) -> 
 def test_who_leaves_off_in_the_middle_of_rows_may_close_the_journal_first(tmp_path: Path) -> None:
     record(tmp_path, make_rows(20), [10, 10])
     with Journal.open(tmp_path) as journal:
-        left = journal.stretches()
+        left = journal.slices()
         assert len(next(left)) == 10
     left.close()  # type: ignore[attr-defined]  # what a generator has, and an iterator need not
 
