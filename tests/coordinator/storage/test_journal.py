@@ -198,7 +198,7 @@ def test_rows_are_there_after_the_writer_was_killed(tmp_path: Path) -> None:
         f"spec = util.spec_from_file_location('journal_tests', {__file__!r})\n"
         "tests = util.module_from_spec(spec); spec.loader.exec_module(tests)\n"
         f"writer = tests.JournalWriter.create(Path({str(tmp_path)!r}), tests.IDENTITY)\n"
-        "writer.append(tests.Stretch(0, tests.make_rows(50)), 1, 0.0)\n"
+        "writer.append(tests.JournalSlice(0, tests.make_rows(50)), 1, 0.0)\n"
         "os.kill(os.getpid(), 9)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE)
