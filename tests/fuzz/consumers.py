@@ -113,11 +113,7 @@ def seeds() -> dict[str, bytes]:
             "columns": pack(rows, COLUMNS),
             "failures": [messages.Failure(row=0, reason="x")],
         },
-        messages.SuccessPage: {
-            "columns": found.page_to_message(
-                drawn, 1, run="run", scene="", began=0.0, rows=1, joints=SHAPE.joints
-            ).columns
-        },
+        messages.SuccessPage: {"columns": found.success_columns(drawn)},
         messages.Open: {
             "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
         },

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, TypeVar, get_type_hints
 import msgspec
 from msgspec import Meta, Struct, structs
 
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals, run_totals
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import shorten
 from qdgrasp_protocol.spec import RunSpec
@@ -49,10 +49,10 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
     ] = ""
 
     @classmethod
-    def of(cls, run: str, spec: RunSpec, scene: str, found: RunCounter) -> "RunListing":
-        """Return the entry of a run from its name, spec, scene and the tally of its rows."""
+    def of(cls, run: str, spec: RunSpec, scene: str, counter: RunCounter) -> "RunListing":
+        """Return the listing of a run from its name, spec, scene and the counter of its rows."""
         return RunListing(
-            **structs.asdict(run_totals(found)),
+            **structs.asdict(counter.totals),
             run=run,
             gripper=spec.gripper,
             object=spec.object,
@@ -60,10 +60,10 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
             protocol=spec.protocol,
             seed=spec.seed,
             scene=scene,
-            budget=found.budget,
-            rows=found.rows,
-            outcomes=found.outcomes,
-            finished=found.finished or "",
+            budget=counter.budget,
+            rows=counter.rows,
+            outcomes=counter.outcomes,
+            finished=counter.finished or "",
         )
 
 

@@ -62,7 +62,7 @@ class StopTracker:
             return f"the last {self._goals.no_new_cell} evaluations found no new cell"
         return None
 
-    def until_reached(self, rows: Rows, is_counted: Flags, successes: int) -> int:
+    def rows_until_stop(self, rows: Rows, is_counted: Flags, successes: int) -> int:
         """Count the next nominal rows (n,) up to the first that reaches a goal; else all."""
         ends = [len(rows)]
         if self._goals.successes is not None:

@@ -20,7 +20,7 @@ from msgspec.structs import asdict, replace
 
 from qdgrasp_coordinator.campaign.summary import RunSummary
 from qdgrasp_coordinator.metrics.job_status import RUNS_PER_PAGE, RunListing, RunListings, from_json, to_json
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, new_counter
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
 from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
@@ -127,7 +127,7 @@ class RunIndex:
         """Count a run's new rows, up to the limit of one answer."""
         spec, count = journal.spec, self._counts.get(path)
         if count is None or count.spec != spec or count.rows > journal.count:
-            count = self._counts[path] = CountedRun(spec, new_counter(spec))
+            count = self._counts[path] = CountedRun(spec, RunCounter.of(spec))
         self._rows_left -= count.count(journal, self._rows_left)
         return count.listing
 

@@ -88,20 +88,22 @@ def success_table(rows: Rows, joints: int, **told: NDArray[np.number]) -> Succes
     return finds
 
 
-def page_to_message(
-    finds: SuccessTable, upto: int, *, run: str, scene: str, began: float, rows: int, joints: int
-) -> SuccessPage:
-    """Pack finds up to row `upto` of the journal, described by the other arguments."""
-    columns = {column.name: np.ascontiguousarray(finds[column.name]).tobytes() for column in SUCCESS_COLUMNS}
+def success_columns(finds: SuccessTable) -> dict[str, bytes]:
+    """Return the columns of successes as bytes, by name."""
+    return {column.name: np.ascontiguousarray(finds[column.name]).tobytes() for column in SUCCESS_COLUMNS}
+
+
+def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) -> SuccessPage:
+    """Pack successes up to row `upto` of a run's journal."""
     return SuccessPage(
         run=run,
-        scene=scene,
-        began=began,
+        scene=journal.scene,
+        began=journal.created,
         next=upto,
-        rows=rows,
+        rows=journal.count,
         n=len(finds),
-        joints=joints,
-        columns=columns,
+        joints=journal.shape.joints,
+        columns=success_columns(finds),
     )
 
 
