@@ -38,7 +38,7 @@ class MemoryFile:
     platform: dict[str, str] = field(default_factory=dict)
     slices: list[JournalSlice] = field(default_factory=list)
     epochs: list[int] = field(default_factory=list)
-    """Whose each slice is."""
+    """The epoch of each slice."""
 
     @property
     def count(self) -> int:
@@ -89,7 +89,7 @@ class MemoryDisk:
     was_restored: bool = False
     files: dict[str, MemoryFile] = field(default_factory=dict)
     holder: object = None
-    """Who holds the lock of the folder."""
+    """The process that holds the lock of the folder."""
 
     def check(self) -> None:
         if self.is_full:
@@ -104,7 +104,7 @@ class MemoryDisk:
         self.files[folder.name] = MemoryFile(self, folder.name, spec, identity.scene, identity.shape)
 
     def counts(self) -> dict[str, int]:
-        """How many rows are on it of each run."""
+        """Number of rows on it of each run."""
         return {run: file.count for run, file in self.files.items()}
 
     def cut(self, counts: dict[str, int]) -> None:
@@ -214,7 +214,7 @@ class MemoryRecorder(Recorder):
 
 
 PATIENCE = 60.0
-"""How long a full disk is waited for [s]."""
+"""Longest wait for a full disk [s]."""
 
 
 class SimulatedRecorder(Process):
@@ -266,7 +266,7 @@ class SimulatedRecorder(Process):
             yield from self._step(self.recorder)
 
     def hear(self, event: object) -> None:
-        """Answer a question at once where nobody waits for it in between; see `Network.ask_now`."""
+        """Answer a query at once when its sender does not wait in between; see `Network.ask_now`."""
         if isinstance(event, Asked) and self.recorder is not None and self.is_running:
             self.world.touched.append(self)
             event.reply(self._answer(event, self.recorder))
@@ -294,7 +294,7 @@ class SimulatedRecorder(Process):
             return NoReply("its disk is full")
 
     def _step(self, recorder: Recorder) -> Life:
-        """Hear what came, commit what is due, and say so once it is on the disk."""
+        """Process what came, commit what is due, and report it once it is on the disk."""
         for event in self.events():
             if isinstance(event, Sample):
                 recorder.take(event, self.now)

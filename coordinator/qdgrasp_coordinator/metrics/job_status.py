@@ -341,13 +341,7 @@ def to_json(shown: Struct) -> bytes:
 
 
 def from_json(payload: bytes, kind: type[Kind]) -> Kind:
-    """Decode a published struct from JSON.
-
-    Raises
-    ------
-    MessageError
-        The payload is not such JSON, or holds a number that is no count.
-    """
+    """Decode a published struct; raise `MessageError` for other JSON, or numbers beyond bounds."""
     try:
         shown = msgspec.json.decode(payload, type=kind)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # ValueError: text that is not UTF-8
@@ -358,7 +352,7 @@ def from_json(payload: bytes, kind: type[Kind]) -> Kind:
 
 
 def _are_counts(value: object) -> bool:
-    """Return whether all numbers in a published value are between 0 and `MOST`."""
+    """Return whether all numbers in a published value are between 0 and `GREATEST_COUNT`."""
     match value:
         case int() | float():
             return 0 <= value <= GREATEST_COUNT
@@ -377,15 +371,7 @@ def utc_now() -> datetime:
 
 
 class EventLog:
-    """Numbers events and keeps the latest.
-
-    Parameters
-    ----------
-    show
-        Takes each event as it happens.
-    clock
-        The time of the day, with its zone.
-    """
+    """Numbers events, keeps the latest, and shows each as it happens."""
 
     def __init__(
         self, show: Callable[[JobEvent], None] = lambda _event: None, clock: Callable[[], datetime] = utc_now

@@ -152,16 +152,8 @@ def successes(rows: Rows) -> Rows:
 class RunCounter:
     """Counts the rows of a journal in its order; outcomes are those of nominal rows.
 
-    Parameters
-    ----------
-    budget
-        Counted evaluations after which the run is over.
-    overlaps
-        Whether overlaps count as evaluations.
-    trials
-        How many trials each success has.
-    goals
-        What ends the run before its budget is spent.
+    The run is over after `budget` counted evaluations, or when a goal is reached; each success has `trials`
+    trials; `overlaps` says whether overlaps count as evaluations.
     """
 
     rows: int = 0
@@ -284,16 +276,9 @@ class RunCounter:
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the rows counted begin a journal of `spec`, which may have another budget.
 
-        Parameters
-        ----------
-        where
-            What the budget is called in an error.
-
-        Raises
-        ------
-        ImpossibleValue
-            The rows go on behind that budget or a goal, or they end a generation early for the sake of other
-            ones: what follows then are trials, where a greater budget has nominal rows first.
+        Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on behind that budget or a
+        goal, or if they end a generation early for the sake of other ones: what follows then are trials,
+        where a greater budget has nominal rows first.
         """
         if self._last is None:
             return

@@ -19,12 +19,9 @@ ROBUST = Outcome.HELD - Outcome.DROPPED  # The nominal fitness of what is held: 
 
 
 class TrialSums:
-    """Gathers the trials of each success while the blocks of a journal pass in order.
+    """Sums up the trials of each success while the blocks of a journal pass in order.
 
-    Parameters
-    ----------
-    trials
-        How many trials a success has; 0: the protocol has none.
+    Each success has `trials` trials; 0: the protocol has no trials.
     """
 
     def __init__(self, trials: int) -> None:
@@ -112,13 +109,9 @@ def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
 def best_first(rows: Rows, scores: NDArray[np.floating] | None = None) -> NDArray[np.int64]:
     """The places (n,) of nominal rows, best first.
 
-    One row is better than another with a greater score; of equals with a greater fitness; of equals with less
-    penetration; of equals with more contacts; of equals the earlier one in the journal.
-
-    Parameters
-    ----------
-    scores
-        (n,), NaN where a score is not known, which is worse than any; None: there are none.
+    One row is better than another with a greater score (n,); of equals with a greater fitness; of equals with
+    less penetration; of equals with more contacts; of equals the earlier one in the journal. A score that is
+    not known is NaN, which is worse than any.
     """
     known = np.zeros(len(rows)) if scores is None else np.nan_to_num(scores, nan=-1.0)
     return np.lexsort(

@@ -34,13 +34,7 @@ class StopCriteria:
 
 
 class StopTracker:
-    """Progress of a run towards its goals.
-
-    Parameters
-    ----------
-    cells
-        The keys of the cells with a success so far, which others add to.
-    """
+    """Progress of a run towards its goals; `cells` are the keys of cells with a success so far."""
 
     def __init__(self, goals: StopCriteria, cells: set[int]) -> None:
         self._goals = goals
@@ -73,17 +67,9 @@ class StopTracker:
         return min(ends)
 
     def check(self, successes: int, is_last: bool) -> None:
-        """Check that no goal was reached before the last row that was counted.
+        """Raise `ImpossibleValue` if a goal was reached before the last row that was counted.
 
-        Parameters
-        ----------
-        is_last
-            Whether that row is a success.
-
-        Raises
-        ------
-        ImpossibleValue
-            One was.
+        `is_last` says whether that row is a success.
         """
         least = successes + (not is_last)
         if self._goals.successes is not None and self._goals.successes < least:

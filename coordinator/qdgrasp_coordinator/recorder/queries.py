@@ -74,13 +74,7 @@ class CountedRun:
 
 
 class RunIndex:
-    """Counts the runs of a job; reads only rows new since the last answer, writes nothing.
-
-    Parameters
-    ----------
-    path
-        The job's folder, or where it is to be.
-    """
+    """Counts the runs of a job's folder, there or not; reads only new rows, writes nothing."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -172,13 +166,7 @@ SCENES_KEPT = 8  # Number of scenes kept in memory
 
 
 class QueryServer:
-    """Answers `rec/runs`, `rec/finds` and `rec/asset` while its context lasts (docs/bus.md).
-
-    Parameters
-    ----------
-    path
-        The job's folder, or where it is to be.
-    """
+    """Answers `rec/runs`, `rec/finds` and `rec/asset` of a job's folder (docs/bus.md)."""
 
     def __init__(self, bus: Bus, job: str, path: Path) -> None:
         self._bus = bus

@@ -1,11 +1,10 @@
-"""Decides what a recorder does: opens runs, takes rows, commits them in groups, reports what is durable.
+"""Decides what a recorder does: opens runs, takes rows, commits them in groups, reports.
 
-Decided without a thread or a clock (docs/bus.md, rule 8); time is passed in, in seconds of any steady
-clock. What is not known of a run is found in its folder, so a recorder that was started again goes on with
-any run.
+Decided without a thread or a clock (docs/bus.md, rule 8); time is passed in, in seconds of any steady clock.
+What is not known of a run is found in its folder, so a recorder that was started again goes on with any run.
 
-A run is reported at once when there is news of it, and then each second for a while after its last message:
-a report may be lost. No later report is due: a coordinator that still misses one sends its rows again, and
+A run is reported at once when there is news of it, and then each second for a while after its last message: a
+report may be lost. No later report is due: a coordinator that still misses one sends its rows again, and
 these are news.
 """
 
@@ -38,13 +37,7 @@ RETRY_INTERVAL = 1.0  # Seconds between two tries to write on a full disk
 
 
 class DiskSpaceRetry:
-    """State of a folder's disk, full or not, as writes have shown.
-
-    Parameters
-    ----------
-    limit
-        How long a full disk is waited for [s].
-    """
+    """State of a folder's disk, full or not, as writes have shown; waits `limit` seconds."""
 
     def __init__(self, path: Path, limit: float) -> None:
         self._path = path
@@ -58,10 +51,7 @@ class DiskSpaceRetry:
     def on_full(self, reason: str, now: float, command: str) -> None:
         """Note that a write did not fit; raise `DiskFull` when nothing has fitted for too long.
 
-        Parameters
-        ----------
-        command
-            Goes on with the job once there is room.
+        Once there is room, `command` goes on with the job.
         """
         if self._since is None:
             self._since = now
@@ -128,14 +118,8 @@ def open_recorder(
 ) -> Iterator["Recorder"]:
     """Lock the folder of a job, there or to be created, and record its runs in this context.
 
-    Parameters
-    ----------
-    path
-        A run's own folder where the run is named `RUN`, else a campaign's.
-    disk_wait
-        How long a full disk is waited for [s].
-    open_journals
-        Most journals open at once.
+    It is a run's own folder where the run is named `RUN`, else a campaign's. A full disk is waited for
+    `disk_wait` seconds; at most `open_journals` journals are open at once.
     """
     with LockedJobFolder(path, job) as folder, OpenJournals(open_journals) as journals:
         yield Recorder(folder, journals, disk_wait, now)
@@ -190,7 +174,7 @@ class Recorder:
             self._reports.report_now(message.run, now)
 
     def add_rows(self, message: Recordable, now: float) -> Arrival:
-        """Queue rows for their commit; a run that was never opened, or another row shape, is refused."""
+        """Queue rows for their commit; a run that was not opened, or another row shape, is refused."""
         writer = self._writer(message.run)
         if message.epoch < self.epoch:
             return Arrival.STALE
@@ -206,15 +190,7 @@ class Recorder:
             self._platform = message.platform
 
     def answer(self, query: Query, now: float) -> bytes:
-        """Open runs, or show recorded rows.
-
-        Raises
-        ------
-        Refused
-            That cannot be done; the reason goes to the sender.
-        NoReply
-            There is no room now: the query is to be sent again.
-        """
+        """Open runs, or show recorded rows; else raise `Refused`, or `NoReply` for want of room now."""
         try:
             if query.key == self._keys.open:
                 return messages.encode(self._answer_open(messages.decode(query.payload, Open), now))
@@ -245,15 +221,9 @@ class Recorder:
     def open(self, asked: Open) -> Opened:
         """Open runs for a coordinator, all or none; missing folders and journals are created.
 
-        Raises
-        ------
-        Refused
-            The coordinator was replaced, or a run is not the one that its folder holds, or was recorded on
-            another platform.
-        FolderError, DiskFull
-            Something cannot be written.
-        InputError
-            A spec is not valid, or its run is to end before what is recorded of it.
+        Raises `Refused` where the coordinator was replaced, a run is not the one that its folder holds, or it
+        was recorded on another platform; `FolderError` or `DiskFull` where something cannot be written; and
+        `InputError` where a spec is not valid, or its run is to end before what is recorded of it.
         """
         self._folder.check(asked)
         runs = [RunIdentity.of(run) for run in asked.runs]
@@ -287,10 +257,9 @@ class Recorder:
         for run in runs:
             writer = self._find(run.run)
             recorded = writer.platform if writer else {}
-            if platform and recorded and platform != recorded:
+            if platform and recorded and (differing := platform_differences(platform, recorded)):
                 raise Refused(
-                    f"run '{run.run}' was recorded on another platform than the job's rows: "
-                    f"{platform_differences(platform, recorded)}"
+                    f"run '{run.run}' was recorded on another platform than the job's rows: {differing}"
                 )
             platform = platform or recorded
         return platform

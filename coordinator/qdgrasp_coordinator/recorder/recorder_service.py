@@ -54,16 +54,9 @@ RecorderEvent = Sample | PendingQuery | FetchedScene | None
 
 
 class RecorderService:
-    """Records the runs of a job until it is asked to stop.
+    """Records the runs of a job until it is asked to stop; begins its folder if it is missing.
 
-    Parameters
-    ----------
-    bus
-        An open session.
-    path
-        The job's folder; begun if it is missing.
-    disk_wait
-        How long a full disk is waited for [s].
+    A full disk is waited for `disk_wait` seconds.
     """
 
     def __init__(self, bus: Bus, stop: Stop, *, job: str, path: Path, disk_wait: float = 60.0) -> None:
@@ -80,12 +73,8 @@ class RecorderService:
     def run(self) -> None:
         """Record until asked to stop.
 
-        Raises
-        ------
-        FolderError
-            The folder cannot be used: another job's, in use, or other files are in it.
-        DiskFull
-            The disk was full for too long; nothing is lost that was reported durable.
+        Raises `FolderError` where the folder is another job's, in use, or holds other files, and `DiskFull`
+        where the disk was full for too long; nothing is lost that was reported durable.
         """
         self._stop.tell(lambda: self._inbox.put(None))
         with ExitStack() as stack:

@@ -37,12 +37,7 @@ class Arrival(Enum):
 class RunWriter:
     """The only writer of a run's folder, which has a journal; its owner holds the job's lock.
 
-    Parameters
-    ----------
-    journals
-        Opens the journal when it is needed.
-    epoch
-        The coordinator's; rows of a lower one are refused, a higher one is adopted.
+    Rows of a lower coordinator's epoch are refused, a higher one is adopted.
     """
 
     def __init__(self, folder: RunFolder, journals: OpenJournals, epoch: int) -> None:

@@ -63,15 +63,7 @@ class AimedGrasps:
         return len(self.targets)
 
     def genomes(self, layout: Layout, candidates: int, weights: Floats) -> Genomes:
-        """Their genomes (n, d).
-
-        Parameters
-        ----------
-        candidates
-            How many candidates are drawn for each.
-        weights
-            (n, features): what the candidates of each are ranked by.
-        """
+        """Return their genomes (n, d), with so many candidates, ranked by weights (n, features)."""
         values = np.zeros((len(self), PRIOR_GENES))
         values[:, TARGET], values[:, CONTACT] = self.targets, self.contacts
         values[:, ROLL], values[:, LOOSENESS] = self.rolls, self.looseness
@@ -115,16 +107,11 @@ LEAST_LOOSENESS = 0.3  # The least looseness, as a share of the greatest
 def exploration_grasps(
     space: SearchSpace, n: int, astray: float, loosest: float, generator: np.random.Generator
 ) -> AimedGrasps:
-    """Return `n` scouts.
+    """Return `n` grasps that explore, without a success to learn from.
 
-    Parameters
-    ----------
-    astray
-        The share of them that aim anywhere in the archive's box, at any point: for objects that are unlike
-        their boxes.
-    loosest
-        The greatest looseness of the others. Many candidates make up for a box that is not the surface; a
-        single one had better keep to its aim.
+    The share `astray` of them aims anywhere in the archive's box, at any point: for objects that are unlike
+    their boxes. The others are at most so loose as `loosest`: many candidates make up for a box that is not
+    the surface; a single one had better keep to its aim.
     """
     low, high = (corner[CONTACT] for corner in space.layout.intervals)
     bottom, top = (corner[TARGET] for corner in space.layout.intervals)
@@ -200,12 +187,8 @@ class RetryBudget:
     def tell(self, generation: int, fresh: NDArray[np.bool_], again: NDArray[np.bool_]) -> None:
         """Learn from the results of a generation.
 
-        Parameters
-        ----------
-        fresh
-            (n,): which of the tries in empty cells that count succeeded.
-        again
-            (m, 2): of rows that begin with the spare tries, which count, and which are robust grasps.
+        `fresh` (n,): which of the tries in empty cells that count succeeded. `again` (m, 2): of rows that
+        begin with the retries, which count, and which are robust grasps.
         """
         promised = self._open.pop(generation, NO_PROMISES)
         counts, is_robust = again[: len(promised)].T
@@ -240,14 +223,9 @@ POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their 
 
 
 class AimedSearch:
-    """Aims at empty cells beside successes.
+    """Aims at empty cells beside successes, with genomes of the prior `aimed`.
 
-    Parameters
-    ----------
-    spec
-        Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
-    space
-        Of the prior `aimed`.
+    Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
     """
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:

@@ -42,15 +42,7 @@ class ArchiveElites:
 
 
 class EliteArchive:
-    """The best genome found in each cell.
-
-    Parameters
-    ----------
-    genes
-        How many genes a genome has.
-    box
-        The box of positions that are kept, enlarged to whole cells.
-    """
+    """The best genome found in each cell of a box of positions, enlarged to whole cells."""
 
     outside: int = 0
     """Valid positions that lay outside the box, so far."""

@@ -1,9 +1,9 @@
-"""CMA_MAE: fifteen evolution strategies that climb what their archive does not know yet, on pyribs.
+"""CMA-MAE: fifteen evolution strategies on pyribs that climb what their archive lacks.
 
 Huber et al. 2024, section IV, with the parameters of Fontaine and Nikolaidis 2023, "Covariance Matrix
-Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's
-released code. The objective of a simulated pose is its fitness; what was rejected (overlap, dead end, error,
-or a position outside the box) has f_min, so it is ranked last and never inserted.
+Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's released
+code. The objective of a simulated pose is its fitness; what was rejected (overlap, dead end, error, or a
+position outside the box) has f_min, so it is ranked last and never inserted.
 
 Otherwise than in the released code every emitter starts at a point of its own, a rejected pose is not worth
 as much as a miss, and what is told is what was asked. As there, genomes are clipped for evaluation alone.
@@ -35,13 +35,7 @@ F_MIN = -1.0  # The threshold of an empty cell
 
 
 def check(spec: RunSpec) -> None:
-    """Check that emitters can share the population, and are told before they are asked again.
-
-    Raises
-    ------
-    ImpossibleValue
-        They cannot.
-    """
+    """Check that emitters can share the population, and are told before they are asked again."""
     if spec.population % EMITTERS or spec.population < 2 * EMITTERS:
         expected = (
             f"a multiple of {EMITTERS}, at least {2 * EMITTERS}, for {spec.method} ({EMITTERS} emitters)"
@@ -53,13 +47,7 @@ def check(spec: RunSpec) -> None:
 
 
 class CmaMae:
-    """Asks each emitter for its share of a generation, and tells them all what became of it.
-
-    Raises
-    ------
-    ImpossibleValue
-        See `check`.
-    """
+    """Asks each emitter for its share of a generation, and tells them all the results."""
 
     def __init__(self, spec: RunSpec, genes: int, box: PositionBox) -> None:
         check(spec)

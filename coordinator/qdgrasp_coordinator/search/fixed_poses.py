@@ -57,10 +57,8 @@ class HandPoses:
     ) -> "HandPoses":
         """Make poses from arrays as in the fields; a NaN label, or None: no synergy, open posture.
 
-        Raises
-        ------
-        InputError
-            An array has another type or shape, holds a number that cannot be, or there are no poses.
+        Raises `InputError` where an array has another type or shape, holds a number that cannot be, or there
+        are no poses.
         """
         places = finite_numbers(called.positions, positions, ("n", 3))
         n = len(places)
@@ -78,13 +76,7 @@ class HandPoses:
         return len(self.positions)
 
     def check(self, hand: SceneGripper) -> None:
-        """Check that a hand has the synergies and free joints that poses ask for.
-
-        Raises
-        ------
-        ImpossibleValue
-            It does not.
-        """
+        """Check that a hand has the synergies and free joints that poses ask for."""
         known, free = len(hand.synergies), len(hand.free_joints)
         wrong = self.synergies[(self.synergies < NO_SYNERGY) | (self.synergies >= known)]
         if len(wrong):
@@ -98,13 +90,7 @@ class HandPoses:
             raise ImpossibleValue(self.called.spreads, float(told[0]), columns)
 
     def genomes(self, scene: Scene) -> NDArray[np.float32]:
-        """Return genomes of the prior `given` (assets, `layout`): pose, then synergy, free joints.
-
-        Raises
-        ------
-        ImpossibleValue
-            As `check`.
-        """
+        """Return genomes of the prior `given` (assets, `layout`): pose, then synergy, free joints."""
         hand = scene.gripper
         self.check(hand)
         columns = [self.positions, _unit_quaternions(self.quaternions)]
@@ -123,13 +109,7 @@ class HandPoses:
 
 
 def read_poses(path: Path) -> HandPoses:
-    """The poses in an npz file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, lacks an array, or holds one that cannot be (`Poses.of`).
-    """
+    """Return the poses in an npz file; raises `InputError` as `read_arrays` and `HandPoses.of`."""
     arrays = read_arrays(path, "poses")
     for name in (IN_FILES.positions, IN_FILES.quaternions):
         if name not in arrays:
@@ -169,13 +149,7 @@ def opened(gripper: SceneGripper, spreads: NDArray[np.float32]) -> NDArray[np.fl
 
 
 def write_scores(path: Path, rows: Rows, trials: int = 0) -> None:
-    """Write scores to a new file, in the order of the poses.
-
-    Parameters
-    ----------
-    rows, trials
-        As in `scores`.
-    """
+    """Write `scores` of rows to a new file, in the order of the poses."""
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **scores(rows, trials))
 
@@ -232,12 +206,7 @@ def _integer_labels(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]
 class FixedPoseSearch:
     """Asks given poses in their order, at most `population` in a generation, each once.
 
-    Parameters
-    ----------
-    poses
-        (n, d) float32, laid out as `layout(scene, GIVEN)` says; not confined to [-1, 1].
-    population
-        The most rows in a generation.
+    They are (n, d) float32, laid out as `layout(scene, GIVEN)` says, and not confined to [-1, 1].
     """
 
     def __init__(self, poses: Genomes, population: int) -> None:
@@ -254,13 +223,7 @@ class FixedPoseSearch:
 
 
 def check_poses(spec: RunSpec) -> None:
-    """Check that a spec has poses, finite ones, and no greater budget than these.
-
-    Raises
-    ------
-    ImpossibleValue
-        It has not.
-    """
+    """Check that a spec has poses, finite ones, and no greater budget than these."""
     if spec.poses is None:
         raise ImpossibleValue("poses", None, f"lists of numbers for method '{spec.method}'")
     if spec.evaluations > len(spec.poses):
@@ -272,13 +235,7 @@ def check_poses(spec: RunSpec) -> None:
 
 
 def fixed_pose_search(spec: RunSpec, genes: int) -> FixedPoseSearch:
-    """The search over the poses of a spec.
-
-    Raises
-    ------
-    ImpossibleValue
-        See `check`; or a pose has not `genes` numbers.
-    """
+    """Return the search over the poses of a spec, each of `genes` numbers."""
     check_poses(spec)
     poses = spec.poses or ()
     if wrong := {len(pose) for pose in poses} - {genes}:

@@ -45,8 +45,7 @@ class Frontier:
     reach
         The greatest distance from the hand to the surface point that it looks at [m].
     within
-        The least and the greatest distance of a cell from a success's contact point beside it, for it to be
-        aimed at [m].
+        The least and the greatest distance [m] from a success's contact point of a cell to aim at.
     """
 
     def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
@@ -194,14 +193,8 @@ FIRST_CAPACITY = 256  # Initial capacity for hints; it doubles as needed
 class EliteStore:
     """The best success of each place, by outcome and then fitness; of equals the elder.
 
-    Parameters
-    ----------
-    places
-        How many places there are.
-    axis
-        The hand's approach axis, base frame.
-    posture
-        How many genes, the last ones of a genome, are the posture: synergy and free joints.
+    `axis` is the hand's approach axis, base frame. The last `posture` genes of a genome are synergy and free
+    joints.
     """
 
     def __init__(self, places: int, axis: Vector, posture: int) -> None:

@@ -150,13 +150,7 @@ CUSTOM = {
 
 
 def method(name: str) -> Method:
-    """The method of a name.
-
-    Raises
-    ------
-    UnknownName
-        No method is called so; the known ones are named.
-    """
+    """Return the method of a name, or raise `UnknownName`, which names the known ones."""
     known = METHODS | {other.name: other for other in (SCORING, *CUSTOM.values())}
     if name not in known:
         raise UnknownName("method", name, METHODS)
@@ -164,15 +158,7 @@ def method(name: str) -> Method:
 
 
 def check_spec(spec: RunSpec) -> None:
-    """Check that a spec asks what its method can do.
-
-    Raises
-    ------
-    UnknownName
-        There is no such method.
-    ImpossibleValue
-        It does not.
-    """
+    """Check that there is the method that a spec asks for, and that it can do it."""
     chosen = method(spec.method)
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")

@@ -32,13 +32,9 @@ So the last bits of a fit, which differ between processors, do not reach the gen
 class LogisticRegression:
     """Probability of success, given features of which the last is constant.
 
-    Parameters
-    ----------
-    start
-        (features,): the weights until the first fit, and the mean of their prior in all fits.
-    own_units
-        Whether the unit of each feature is its standard deviation, instead of 1: what is small then tells as
-        much as what is large.
+    `start` (features,) are the weights until the first fit, and the mean of their prior in all fits. With
+    `own_units` the unit of each feature is its standard deviation, instead of 1: what is small then counts as
+    much as what is large.
     """
 
     def __init__(self, start: ArrayLike, *, own_units: bool = False) -> None:

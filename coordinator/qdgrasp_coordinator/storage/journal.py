@@ -38,10 +38,7 @@ from qdgrasp_protocol.spec import RunSpec, from_toml
 class Journal:
     """A journal to read; opened by `Journal.open`, closed by its with-block.
 
-    Raises
-    ------
-    FolderError
-        From any method: the file is damaged.
+    Any method raises `FolderError` where the file is damaged.
     """
 
     def __init__(self, database: sqlite3.Connection, file: Path) -> None:
@@ -64,10 +61,8 @@ class Journal:
     def open(cls, folder: Path) -> "Journal":
         """Open the journal in a run's folder as it is now.
 
-        Raises
-        ------
-        FolderError
-            There is none, it is not a journal, is damaged, or is of a newer version of this package.
+        Raises `FolderError` where there is no journal, or a damaged one, or one of a newer version of this
+        package.
         """
         file = folder / FILE
         if not file.is_file():
@@ -170,13 +165,7 @@ class Journal:
         return self._meta().get("summary", "")
 
     def check_whole(self) -> None:
-        """Check that every row is here.
-
-        Raises
-        ------
-        FolderError
-            The journal keeps successes alone.
-        """
+        """Raise `FolderError` if the journal keeps successes alone, not every row."""
         if not self.sources:
             return
         whose = f"{len(self.sources)} runs"

@@ -76,13 +76,7 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
 
 
 def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
-    """The part in a message.
-
-    Raises
-    ------
-    MessageError
-        Its rows are not of this shape, or it tells of a failure in a row that it does not hold.
-    """
+    """Return the slice in a message; raise `MessageError` for other rows or unknown failed rows."""
     came = RowShape(message.genes, message.joints, message.descriptors)
     if came != shape:
         raise MessageError(f"expected rows of {shape}, got {came}")

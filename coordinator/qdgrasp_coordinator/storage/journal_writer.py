@@ -33,13 +33,7 @@ class JournalWriter(Journal):
 
     @classmethod
     def create(cls, folder: Path, identity: JournalIdentity) -> "JournalWriter":
-        """Begin the journal of a run; the file appears whole or not at all.
-
-        Raises
-        ------
-        DiskFull
-            There is no room.
-        """
+        """Begin the journal of a run; the file appears whole or not at all."""
         part = folder / f"{FILE}.part"
         part.unlink(missing_ok=True)
         with explaining_write_errors(folder):
@@ -68,27 +62,15 @@ class JournalWriter(Journal):
                 raise
 
     def begin_epoch(self, epoch: int, now: float) -> None:
-        """Record that the coordinator of an epoch opened the run.
-
-        Parameters
-        ----------
-        now
-            [s since 1970].
-        """
+        """Record that the coordinator of an epoch opened the run at `now` [s since 1970]."""
         with self._transaction():
             self._database.execute("INSERT OR IGNORE INTO turns VALUES (?, ?, ?)", (epoch, now, now))
 
     def append(self, part: JournalSlice, epoch: int, now: float) -> None:
         """Add the next rows: all of them, durably, or none.
 
-        Raises
-        ------
-        DiskFull
-            There is no room; nothing was added.
-        FolderError
-            The file cannot be written for another reason; nothing was added.
-        ValueError
-            These are not the next rows.
+        Raises `DiskFull`, or `FolderError` where the file cannot be written, or `ValueError` for other rows
+        than the next ones.
         """
         if part.first != self.count:
             raise ValueError(f"row {self.count} is next, got {part.first}")
@@ -154,14 +136,9 @@ def explaining_write_errors(folder: Path) -> Iterator[None]:
 
 
 class OpenJournals:
-    """Opens journals as they are needed, and closes the one that was not used for longest.
+    """Opens at most `most` journals as they are needed; closes the one unused for longest.
 
     A context manager that closes them all. Raises as `JournalWriter.open` and `JournalWriter.create`.
-
-    Parameters
-    ----------
-    most
-        How many may be open; at least 1.
     """
 
     def __init__(self, most: int) -> None:

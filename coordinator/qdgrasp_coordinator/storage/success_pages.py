@@ -108,12 +108,10 @@ def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) 
 
 
 def page_from_message(message: SuccessPage) -> SuccessTable:
-    """The finds (n,) in a message.
+    """Return the successes (n,) in a message.
 
-    Raises
-    ------
-    MessageError
-        A column is missing, of the wrong length, or holds a number that is not finite.
+    Raises `MessageError` where a column is missing, of the wrong length, or holds a number that is not
+    finite.
     """
     dtype = success_dtype(message.joints)
     finds = np.zeros(message.n, dtype=dtype)

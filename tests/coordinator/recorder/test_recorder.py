@@ -60,7 +60,7 @@ def open_files() -> int:
 
 
 def content(folder: Path) -> dict[Path, bytes]:
-    """What all files hold, but for what readers share in memory."""
+    """The content of all files, but for what readers share in memory."""
     files = [file for file in folder.rglob("*") if file.is_file() and not file.name.endswith("-shm")]
     return {file: file.read_bytes() for file in files}
 

@@ -272,7 +272,7 @@ class Found:
         self.spare = RetryBudget(self.frontier, self.hints)
 
     def succeed(self, positions: np.ndarray, outcome: Outcome) -> Places:
-        """Hear of a success in each of the cells at `positions` (n, 3), after one try in each."""
+        """Add a success in each of the cells at `positions` (n, 3), after one try in each."""
         rows = RowShape(genes=15, joints=1, descriptors=9).empty(len(positions))
         rows["outcome"], rows["base_to_object"][:, 6] = outcome, 1
         places = self.frontier.places(positions)
@@ -287,11 +287,11 @@ class Found:
         return self.spare.ask(generation, keyed_generator(0, "targets", generation))
 
     def tell(self, generation: int, *, robust: bool, counts: bool = True) -> None:
-        """Hear of a generation at whose frontier nothing succeeded."""
+        """Tell a generation at whose frontier nothing succeeded."""
         self.spare.tell(generation, np.zeros(10, np.bool_), np.tile([counts, robust], (3, 1)))
 
     def frontier_gives(self, share: float) -> None:
-        """Hear of many generations of ten tries in empty cells."""
+        """Tell many generations of ten tries in empty cells."""
         for _ in range(100):
             self.spare.tell(-1, np.arange(10) < share * 10, np.zeros((0, 2), np.bool_))
 

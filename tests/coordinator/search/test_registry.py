@@ -1,4 +1,4 @@
-"""What every search keeps to."""
+"""Rules that every search keeps to."""
 
 from collections.abc import Callable
 
@@ -39,7 +39,7 @@ def shape_of(entry: Method) -> RowShape:
 
 
 def evaluated(shape: RowShape, generation: int, genomes: np.ndarray) -> Rows:
-    """Rows with results that are a function of the genomes: about a third each overlap, fail, succeed."""
+    """Rows whose results are a function of the genomes: a third each overlap, fail, succeed."""
     rows = shape.empty(len(genomes))
     rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
     share = (genomes[:, 3] + 1) / 2
@@ -51,7 +51,7 @@ def evaluated(shape: RowShape, generation: int, genomes: np.ndarray) -> Rows:
 
 
 def asked(search: SearchAlgorithm, shape: RowShape) -> list[np.ndarray]:
-    """What a search asks in its first generations."""
+    """The genomes that a search asks in its first generations."""
     all_asked = []
     for generation in range(GENERATIONS):
         genomes = search.ask(generation)
