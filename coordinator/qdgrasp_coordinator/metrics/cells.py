@@ -35,8 +35,7 @@ def cells(positions: ArrayLike) -> NDArray[np.int64]:
 def cell_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """One number per cell (n, 3), equal for equal cells only: (n,), for sets and for counting."""
     shifted = cells + _REACH
-    packed: NDArray[np.int64] = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
-    return packed
+    return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 
 
 def best_per_cell(

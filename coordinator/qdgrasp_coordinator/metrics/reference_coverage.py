@@ -12,7 +12,7 @@ journal does: coverage is given in both countings.
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -265,17 +265,11 @@ class ReferenceLookup:
                 if hers and (known.object == name or (origin is not None and origin.identity == body)):
                     yield known
         published = on_asset_path(PUBLISHED_SETS.format(hand=hand))
-        if published is not None:
-            yield from _sets_named(name, _read_published(published).values())
+        if published is not None and name in (sets := _read_published(published)):
+            yield sets[name]
 
 
-def _sets_named(name: str, sets: Iterable[ReferenceSet]) -> Iterator[ReferenceSet]:
-    return (known for known in sets if known.object == name)
-
-
-@cache
-def _read_published(path: Path) -> dict[str, ReferenceSet]:
-    return read_references(path)
+_read_published = cache(read_references)
 
 
 class Coverage(Struct, frozen=True, kw_only=True):
@@ -321,7 +315,11 @@ def coverage(
     distinct = np.unique(reached, axis=0)
     found = _common_cells(distinct, reference)
     robust_found = _common_cells(np.unique(reached[fitness == ROBUST], axis=0), robust)
-    elites, robust_elites = _released_counts(reached, positions, fitness, reference, archive)
+    elites = robust_elites = None
+    if archive is not None and reference.origin is None:
+        kept = archive.elites(positions, fitness)
+        elites = _common_cells(reached[kept], reference)
+        robust_elites = _common_cells(reached[kept[fitness[kept] == ROBUST]], reference)
     result = Coverage(
         coverage=_ratio(found, len(reference)),
         robust=_ratio(robust_found, len(robust)),
@@ -337,21 +335,6 @@ def coverage(
     return msgspec.structs.replace(result, sentence=_sentence(result, reference.object))
 
 
-def _released_counts(
-    reached: NDArray[np.int64],
-    positions: NDArray[np.floating],
-    fitness: NDArray[np.number],
-    reference: ReferenceSet,
-    archive: ReleasedArchive | None,
-) -> tuple[int | None, int | None]:
-    """Elites in the set, and those of them with fitness 2."""
-    if archive is None or reference.origin is not None:
-        return None, None
-    elites = archive.elites(positions, fitness)
-    robust = elites[fitness[elites] == ROBUST]
-    return _common_cells(reached[elites], reference), _common_cells(reached[robust], reference)
-
-
 def _common_cells(positions: NDArray[np.int64], reference: ReferenceSet) -> int:
     """Count the `positions` (n, 3) that are cells of the set; repeated ones count repeatedly."""
     return int(np.isin(cell_keys(positions), cell_keys(reference.cells)).sum())
@@ -364,24 +347,17 @@ def _ratio(found: int | None, size: int) -> float | None:
 def _sentence(result: Coverage, name: str) -> str:
     if result.coverage is None:
         return f"The reference set of '{name}' is empty, so that there is no coverage of it."
-    return (
+    words = (
         f"{result.found} of the {result.size} cells of '{name}' were found ({result.coverage:.2%}), "
         f"and {counted(result.outside, 'cell that is', 'cells that are')} not in the set."
-        f"{_robust(result)}{_as_released(result)}"
     )
-
-
-def _robust(result: Coverage) -> str:
-    if result.robust is None:
-        return ""
-    found = f"{result.robust_found} of the {result.robust_size} that have it in the set"
-    return f" With fitness 2 were found {found} ({result.robust:.2%})."
-
-
-def _as_released(result: Coverage) -> str:
-    if result.released is None:
-        return ""
-    return f" The released code counts {result.released_found} of the {result.size} ({result.released:.2%})."
+    if result.robust is not None:
+        found = f"{result.robust_found} of the {result.robust_size} that have it in the set"
+        words += f" With fitness 2 were found {found} ({result.robust:.2%})."
+    if result.released is not None:
+        found = f"{result.released_found} of the {result.size}"
+        words += f" The released code counts {found} ({result.released:.2%})."
+    return words
 
 
 def object_identity(body: SceneObject) -> str:

@@ -22,25 +22,29 @@ from qdgrasp_protocol.text import counted
 CURVE_POINTS = 512  # The most points of a curve
 
 
+def described(words: str) -> Meta:
+    """Return the description of a published field."""
+    return Meta(description=words)
+
+
 class CurvePoint(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
-    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
-    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
-    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
-    cells: Annotated[int, Meta(description="Distinct 1 cm cells with a success.")]
-    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
+    evaluations: Annotated[int, described("Counted evaluations.")]
+    proposals: Annotated[int, described("Poses that decoding screened, simulated or not.")]
+    successes: Annotated[int, described("A finger touches the object after closing.")]
+    cells: Annotated[int, described("Distinct 1 cm cells with a success.")]
+    robust: Annotated[int, described("Successes that survived both shakes: fitness 2.")]
 
 
 class GrowthCurve(Struct, frozen=True, kw_only=True):
     """Growth of a run's counts. JSON, the answer to a query on `stat/curve/<run>`."""
 
-    run: Annotated[str, Meta(description="Its name in its job.")]
+    run: Annotated[str, described("Its name in its job.")]
     points: Annotated[
         list[CurvePoint],
-        Meta(
-            description="At most 512, at evenly spaced generations: "
-            "evaluations, proposals, successes, cells, robust."
+        described(
+            "At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust."
         ),
     ]
 
@@ -69,31 +73,22 @@ class CurveRecorder:
 class RunTotals(Struct, frozen=True, kw_only=True):
     """Counts of a run or, summed, of a job; the first part of all structs that show them."""
 
-    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
-    simulated: Annotated[int, Meta(description="Genomes whose hand closed.")]
-    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
+    evaluations: Annotated[int, described("Counted evaluations.")]
+    simulated: Annotated[int, described("Genomes whose hand closed.")]
+    proposals: Annotated[int, described("Poses that decoding screened, simulated or not.")]
     overlaps: Annotated[
         int,
-        Meta(
-            description="Genomes whose open hand overlapped the object; "
-            "where a genome has candidates, all of them."
+        described(
+            "Genomes whose open hand overlapped the object; where a genome has candidates, all of them."
         ),
     ]
-    dead_ends: Annotated[
-        int, Meta(description="Genomes for which there was no pose, or none worth a simulation.")
-    ]
-    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
-    grasps: Annotated[int, Meta(description="Successes that survived a shake: fitness 1 or more.")]
-    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
-    errors: Annotated[
-        int, Meta(description="Rows on which the simulator failed three times, trials included.")
-    ]
-    cells: Annotated[
-        int, Meta(description="Distinct 1 cm cells with a success; of a job their sum over its runs.")
-    ]
-    trials: Annotated[
-        int, Meta(description="Rows that are trials of successes; 0 where no protocol has them.")
-    ]
+    dead_ends: Annotated[int, described("Genomes for which there was no pose, or none worth a simulation.")]
+    successes: Annotated[int, described("A finger touches the object after closing.")]
+    grasps: Annotated[int, described("Successes that survived a shake: fitness 1 or more.")]
+    robust: Annotated[int, described("Successes that survived both shakes: fitness 2.")]
+    errors: Annotated[int, described("Rows on which the simulator failed three times, trials included.")]
+    cells: Annotated[int, described("Distinct 1 cm cells with a success; of a job their sum over its runs.")]
+    trials: Annotated[int, described("Rows that are trials of successes; 0 where no protocol has them.")]
 
     @property
     def found(self) -> str:
@@ -145,8 +140,7 @@ def success_mask(rows: Rows) -> NDArray[np.bool_]:
 
 def successes(rows: Rows) -> Rows:
     """The nominal successes among rows, in their order."""
-    found: Rows = rows[success_mask(rows)]
-    return found
+    return rows[success_mask(rows)]
 
 
 class RunCounter:

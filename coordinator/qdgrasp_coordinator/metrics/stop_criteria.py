@@ -85,8 +85,7 @@ class StopTracker:
         """Counted evaluations since the last new cell at each row: (n,)."""
         done = np.cumsum(is_counted)
         fresh = np.where(self._is_new(rows), done, -self._stale)
-        since: NDArray[np.int64] = done - np.maximum.accumulate(fresh)
-        return since
+        return done - np.maximum.accumulate(fresh)
 
     def _is_new(self, rows: Rows) -> Flags:
         """Flag the rows that reach a new cell: (n,)."""

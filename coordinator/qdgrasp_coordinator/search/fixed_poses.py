@@ -65,7 +65,11 @@ class HandPoses:
         turns = finite_numbers(called.quaternions, quaternions, (n, 4))
         labels = np.full(n, np.nan) if synergies is None else real_numbers(called.synergies, synergies, (n,))
         free = np.full((n, 0), np.nan) if spreads is None else real_numbers(called.spreads, spreads, (n, "k"))
-        _check_places(called.positions, places)
+        if not n:
+            raise InputError(f"{called.positions} holds no poses.")
+        if len(far := places[np.abs(places) > FARTHEST]):
+            expected = f"no more than {FARTHEST:g} m away; lengths are metres"
+            raise ImpossibleValue(called.positions, float(far[0]), expected)
         if (np.linalg.norm(turns, axis=1) < SHORTEST).any():
             raise InputError(f"{called.quaternions} holds a quaternion of length zero, which is no rotation.")
         if np.isinf(free).any():
@@ -183,14 +187,6 @@ def _unit_quaternions(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Normalise quaternions (n, 4); those of length one within float32 rounding stay as stored."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     return np.where(np.abs(lengths - 1.0) < ROUNDING, quaternions, quaternions / lengths)
-
-
-def _check_places(name: str, places: NDArray[np.float64]) -> None:
-    if not len(places):
-        raise InputError(f"{name} holds no poses.")
-    far = places[np.abs(places) > FARTHEST]
-    if len(far):
-        raise ImpossibleValue(name, float(far[0]), f"no more than {FARTHEST:g} m away; lengths are metres")
 
 
 def _integer_labels(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]:
