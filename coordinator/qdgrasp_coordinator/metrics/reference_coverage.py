@@ -199,8 +199,8 @@ def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]
 
 
 def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceOrigin | None:
-    said = [arrays.get(key) for key in ("gripper", *(f"{name}.{part}" for part in ORIGIN_KEYS))]
-    gripper, made_with, identity, protocols = said
+    values = [arrays.get(key) for key in ("gripper", *(f"{name}.{part}" for part in ORIGIN_KEYS))]
+    gripper, made_with, identity, protocols = values
     if gripper is None or made_with is None or identity is None or protocols is None:
         return None
     return ReferenceOrigin(str(gripper), str(made_with), str(identity), tuple(map(str, protocols.ravel())))

@@ -77,19 +77,19 @@ class CmaMae:
         Before anything was simulated the emitters are told nothing: they would have no elite to restart from.
         """
         places = cells(rows["descriptor"][:, :3])
-        told = {
+        batch = {
             "solution": self._asked,
             "objective": self._objectives(rows, places),
             "measures": np.clip(places, self._low, self._high).astype(np.float64),
         }
-        added = self._archive.add(**told)
+        added = self._archive.add(**batch)
         if len(self._archive):
-            self._adapt(told, added)
+            self._adapt(batch, added)
 
-    def _adapt(self, told: dict[str, Any], added: dict[str, Any]) -> None:
+    def _adapt(self, batch: dict[str, Any], added: dict[str, Any]) -> None:
         for number, emitter in enumerate(self._emitters):
             own = slice(number * self._share, (number + 1) * self._share)
-            emitter.tell(**_part(told, own), add_info=_part(added, own))
+            emitter.tell(**_part(batch, own), add_info=_part(added, own))
 
     def _objectives(self, rows: Rows, places: NDArray[np.int64]) -> NDArray[np.float64]:
         inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
@@ -121,8 +121,8 @@ def _compile_adaptation() -> None:
     """Have pyribs compile ask and tell (4-6 s, once a process) before anything waits for it."""
     archive = _grid(np.zeros(3, np.int64), np.ones(3, np.int64), 2, 0)
     emitter = _emitter(archive, np.zeros(2), 4, 0)
-    told = {"solution": emitter.ask(), "objective": np.arange(4.0), "measures": np.zeros((4, 3))}
-    emitter.tell(**told, add_info=archive.add(**told))
+    batch = {"solution": emitter.ask(), "objective": np.arange(4.0), "measures": np.zeros((4, 3))}
+    emitter.tell(**batch, add_info=archive.add(**batch))
     emitter.ask()
 
 

@@ -44,12 +44,12 @@ class HandPoses:
     """(n,) labels; -1: no synergy."""
     spreads: NDArray[np.float64]
     """(n, k) positions of the free joints [rad]; NaN: the open posture."""
-    called: PoseNames
+    names: PoseNames
 
     @classmethod
     def of(
         cls,
-        called: PoseNames,
+        names: PoseNames,
         positions: ArrayLike,
         quaternions: ArrayLike,
         synergies: ArrayLike | None = None,
@@ -60,21 +60,21 @@ class HandPoses:
         Raises `InputError` where an array has another type or shape, holds a number that cannot be, or there
         are no poses.
         """
-        places = finite_numbers(called.positions, positions, ("n", 3))
+        places = finite_numbers(names.positions, positions, ("n", 3))
         n = len(places)
-        turns = finite_numbers(called.quaternions, quaternions, (n, 4))
-        labels = np.full(n, np.nan) if synergies is None else real_numbers(called.synergies, synergies, (n,))
-        free = np.full((n, 0), np.nan) if spreads is None else real_numbers(called.spreads, spreads, (n, "k"))
+        rotations = finite_numbers(names.quaternions, quaternions, (n, 4))
+        labels = np.full(n, np.nan) if synergies is None else real_numbers(names.synergies, synergies, (n,))
+        free = np.full((n, 0), np.nan) if spreads is None else real_numbers(names.spreads, spreads, (n, "k"))
         if not n:
-            raise InputError(f"{called.positions} holds no poses.")
+            raise InputError(f"{names.positions} holds no poses.")
         if len(far := places[np.abs(places) > FARTHEST]):
             expected = f"no more than {FARTHEST:g} m away; lengths are metres"
-            raise ImpossibleValue(called.positions, float(far[0]), expected)
-        if (np.linalg.norm(turns, axis=1) < SHORTEST).any():
-            raise InputError(f"{called.quaternions} holds a quaternion of length zero, which is no rotation.")
+            raise ImpossibleValue(names.positions, float(far[0]), expected)
+        if (np.linalg.norm(rotations, axis=1) < SHORTEST).any():
+            raise InputError(f"{names.quaternions} holds a quaternion of length zero, which is no rotation.")
         if np.isinf(free).any():
-            raise InputError(f"{called.spreads} holds a number that is infinite.")
-        return cls(places, turns, _integer_labels(called.synergies, labels), free, called)
+            raise InputError(f"{names.spreads} holds a number that is infinite.")
+        return cls(places, rotations, _integer_labels(names.synergies, labels), free, names)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -85,13 +85,13 @@ class HandPoses:
         wrong = self.synergies[(self.synergies < NO_SYNERGY) | (self.synergies >= known)]
         if len(wrong):
             labels = f"-1 (none) or 0 to {known - 1} for this hand" if known else "-1, for the hand has none"
-            raise ImpossibleValue(self.called.synergies, int(wrong[0]), labels)
+            raise ImpossibleValue(self.names.synergies, int(wrong[0]), labels)
         behind = self.spreads[:, free:]
-        if len(told := behind[~np.isnan(behind)]):
+        if len(given := behind[~np.isnan(behind)]):
             columns = (
                 f"NaN but in the first {free} columns" if free else "NaN, for the hand has no free joints"
             )
-            raise ImpossibleValue(self.called.spreads, float(told[0]), columns)
+            raise ImpossibleValue(self.names.spreads, float(given[0]), columns)
 
     def genomes(self, scene: Scene) -> NDArray[np.float32]:
         """Return genomes of the prior `given` (assets, `layout`): pose, then synergy, free joints."""
@@ -118,9 +118,9 @@ def read_poses(path: Path) -> HandPoses:
     for name in (IN_FILES.positions, IN_FILES.quaternions):
         if name not in arrays:
             raise InputError(f"{path} has no array '{name}'; it has {', '.join(sorted(arrays)) or 'none'}.")
-    called = PoseNames(*(f"{path}: {name}" for name in IN_FILES))
+    names = PoseNames(*(f"{path}: {name}" for name in IN_FILES))
     first, second, *others = IN_FILES
-    return HandPoses.of(called, arrays[first], arrays[second], *map(arrays.get, others))
+    return HandPoses.of(names, arrays[first], arrays[second], *map(arrays.get, others))
 
 
 def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:

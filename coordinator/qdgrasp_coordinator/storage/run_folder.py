@@ -217,10 +217,10 @@ class RunFolder:
         """Check that a journal is of this folder's spec, with any budget, and of its scene."""
         file = self.path / JOURNAL
         if journal.spec_text != atomic_files.read(self.path / SPEC).decode(errors="replace"):
-            found, told = journal.spec, self.spec
-            if other := differences(found, told):
+            recorded, spec = journal.spec, self.spec
+            if other := differences(recorded, spec):
                 raise OtherRun(
-                    file, self.path / SPEC, _spec_in_words(found, other), _spec_in_words(told, other)
+                    file, self.path / SPEC, _spec_in_words(recorded, other), _spec_in_words(spec, other)
                 )
         if self.has_bundle() and (digest := self.bundle().digest) != journal.scene:
             scene, spec = self.scene(), journal.spec
@@ -246,8 +246,8 @@ def _job_path(path: Path) -> Path:
 
 def _spec_in_words(spec: RunSpec, keys: Iterable[str]) -> str:
     """Describe a run by the keys in which it differs from another one."""
-    told = [f"{key} {str(getattr(spec, key))[:LONGEST]}" for key in keys]
-    return f"a run with {first_few(told, SHOWN)}"
+    values = [f"{key} {str(getattr(spec, key))[:LONGEST]}" for key in keys]
+    return f"a run with {first_few(values, SHOWN)}"
 
 
 def _no_run_reason(path: Path) -> str:

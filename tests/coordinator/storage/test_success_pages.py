@@ -64,7 +64,7 @@ def told(folder: RunFolder, first: int = 0) -> tuple[dict[int, float], int]:
 def test_every_success_comes_with_its_eta_however_short_pages_are(
     folder: RunFolder, rows: Rows, monkeypatch: pytest.MonkeyPatch, scanned: int
 ) -> None:
-    monkeypatch.setattr(success_pages, "SCANNED", scanned)
+    monkeypatch.setattr(success_pages, "ROWS_SCANNED", scanned)
     found, upto = told(folder)
     assert found == pytest.approx(etas(rows))
     assert NO_ETA not in found.values()
