@@ -77,9 +77,12 @@ def known_scores(rows: Rows, trials: int) -> NDArray[np.float64]:
     """
     found, first = np.flatnonzero(success_mask(rows)), np.flatnonzero(rows["trial"] == 1)
     first = first[first + trials <= len(rows)]
-    whose, their = _places(rows, found, first)
-    order = np.argsort(their)
-    place = np.searchsorted(their[order], whose)
+    # The trials of a success follow it in one piece. One number per row, ascending by genome and then by
+    # place, finds the next first trial behind each success, which may be of another genome.
+    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
+    of_found, of_first = genomes[found] * len(rows) + found, genomes[first] * len(rows) + first
+    order = np.argsort(of_first)
+    place = np.searchsorted(of_first[order], of_found)
     scores = np.full(len(found), np.nan)
     here = np.flatnonzero(place < len(first))
     begins = first[order][place[here]]
@@ -92,12 +95,6 @@ def known_scores(rows: Rows, trials: int) -> NDArray[np.float64]:
 def eta(fitness: NDArray[np.number], trials: int) -> NDArray[np.float64]:
     """Return eta, 0 to 1, of scores (n,) over `trials` trials: (n,)."""
     return fitness.astype(np.float64) / (SHAKES * trials)
-
-
-def _places(rows: Rows, *places: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """One number for each of some rows, ascending by genome, then by place."""
-    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
-    return [genomes[each] * len(rows) + each for each in places]
 
 
 def genome_numbers(rows: Rows) -> NDArray[np.uint64]:

@@ -222,10 +222,15 @@ class SuccessMetrics:
         """Count the next rows."""
         found = successes(rows)
         self.successes += len(found)
-        self._count_nu(found["nu"][found["surface_point"].any(axis=1)])
+        nu = found["nu"][found["surface_point"].any(axis=1)].astype(np.float64)
+        angles = np.clip(nu, 0.0, math.pi)  # pi in float32 is more than pi
+        self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
+        self._near += int(np.count_nonzero(angles < NEAR_NU))
         scored = self._scores.take(rows)
         self._scored += np.bincount(scored["fitness"].astype(np.int64), minlength=len(self._scored))
-        self._count_cells(scored)
+        reached = cell_keys(cells(scored["descriptor"][:, :3]))
+        for cell, fitness in zip(reached.tolist(), scored["fitness"].tolist(), strict=True):
+            self._best[cell] = max(fitness, self._best.get(cell, 0.0))
 
     def counting(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
         """The same blocks, each counted as it passes."""
@@ -268,16 +273,6 @@ class SuccessMetrics:
         """The mean over all scored successes of a value that depends on their fitness."""
         total = int(self._scored.sum())
         return float(self._scored @ values) / total if total else None
-
-    def _count_cells(self, found: Rows) -> None:
-        reached = cell_keys(cells(found["descriptor"][:, :3]))
-        for cell, fitness in zip(reached.tolist(), found["fitness"].tolist(), strict=True):
-            self._best[cell] = max(fitness, self._best.get(cell, 0.0))
-
-    def _count_nu(self, nu: NDArray[np.float32]) -> None:
-        angles = np.clip(nu.astype(np.float64), 0.0, math.pi)  # pi in float32 is more than pi
-        self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
-        self._near += int(np.count_nonzero(angles < NEAR_NU))
 
 
 class Diversity(Struct, frozen=True, kw_only=True):

@@ -1,12 +1,11 @@
 """The locked folder of a job, and the identities of the runs that a coordinator opens in it."""
 
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
-from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -110,16 +109,6 @@ class RunIdentity:
         """Return the run that a coordinator opens; an `InputError` says what is wrong with its spec."""
         spec = from_toml(asked.spec.decode(errors="replace"), "the coordinator's spec")
         return cls(asked.run, spec, asked.scene, RowShape(asked.genes, asked.joints, asked.descriptors))
-
-    @classmethod
-    def recorded_in(cls, journal: Journal) -> Self:
-        """The run of a journal, with its latest budget."""
-        return cls(journal.run, journal.spec, journal.scene, journal.shape)
-
-    def begun_in(self, folder: RunFolder) -> Self:
-        """Return this run with the spec and scene of a folder without a journal."""
-        scene = folder.bundle().digest if folder.has_bundle() else self.scene
-        return replace(self, spec=folder.spec, scene=scene)
 
     @property
     def for_journal(self) -> JournalIdentity:

@@ -11,6 +11,7 @@ these are news.
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 
@@ -248,7 +249,9 @@ class Recorder:
             check_same_run(path, writer.identity, run)
             writer.check_end(run.spec)
         elif RunFolder.is_run(path):
-            check_same_run(path, run.begun_in(RunFolder(path)), run)
+            folder = RunFolder(path)
+            scene = folder.bundle().digest if folder.has_bundle() else run.scene
+            check_same_run(path, replace(run, spec=folder.spec, scene=scene), run)
         else:
             OutFolder(path).check()
 

@@ -43,10 +43,11 @@ class RunWriter:
     def __init__(self, folder: RunFolder, journals: OpenJournals, epoch: int) -> None:
         self._folder = folder
         self._journals = journals
-        self.identity = RunIdentity.recorded_in(self.journal)
-        self.platform = self.journal.platform
+        journal = self.journal
+        self.identity = RunIdentity(journal.run, journal.spec, journal.scene, journal.shape)
+        self.platform = journal.platform
         """Platform of the recorded rows; empty while there are no rows."""
-        self.durable = self.journal.count
+        self.durable = journal.count
         """Number of rows on disk."""
         self._epoch = epoch
         self._waiting: list[JournalSlice] = []

@@ -77,24 +77,17 @@ class CmaMae:
         Before anything was simulated the emitters are told nothing: they would have no elite to restart from.
         """
         places = cells(rows["descriptor"][:, :3])
+        is_inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
+        is_kept = (rows["outcome"] >= Outcome.MISSED) & is_inside
         batch = {
             "solution": self._asked,
-            "objective": self._objectives(rows, places),
+            "objective": np.where(is_kept, rows["fitness"].astype(np.float64), F_MIN),
             "measures": np.clip(places, self._low, self._high).astype(np.float64),
         }
         added = self._archive.add(**batch)
-        if len(self._archive):
-            self._adapt(batch, added)
-
-    def _adapt(self, batch: dict[str, Any], added: dict[str, Any]) -> None:
-        for number, emitter in enumerate(self._emitters):
+        for number, emitter in enumerate(self._emitters if len(self._archive) else ()):
             own = slice(number * self._share, (number + 1) * self._share)
             emitter.tell(**_part(batch, own), add_info=_part(added, own))
-
-    def _objectives(self, rows: Rows, places: NDArray[np.int64]) -> NDArray[np.float64]:
-        inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
-        simulated = rows["outcome"] >= Outcome.MISSED
-        return np.where(simulated & inside, rows["fitness"].astype(np.float64), F_MIN)
 
 
 def _grid(low: NDArray[np.int64], high: NDArray[np.int64], genes: int, seed: int) -> "GridArchive":

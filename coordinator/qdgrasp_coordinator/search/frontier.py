@@ -151,13 +151,12 @@ class Frontier:
 
         Among equals `generator` draws.
         """
-        places = self._edge[self._are_near(self._edge)] if among is None else among
+        places, (least, greatest) = self._edge, self._within
+        if among is None:  # those that may be as far from a contact point as is wanted
+            places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
+        else:
+            places = among
         return select_top(places, self.worth(places), n, generator)
-
-    def _are_near(self, places: Places) -> NDArray[np.bool_]:
-        """Flag the cells (n,) that may be as far from a contact point as is wanted."""
-        least, greatest = self._within
-        return (self._farthest[places] >= least) & (self._distances[places] <= greatest)
 
     def dead_ends(self, positions: Floats) -> NDArray[np.int32]:
         """Return the number of dead ends in the cells of `positions` (n, 3) [m]; 0 outside the box."""
@@ -209,7 +208,9 @@ class EliteStore:
 
     def offer(self, places: Places, rows: Rows) -> None:
         """Offer the successes `rows` (n,), elder ones first, found in `places` (n,)."""
-        best = _best_rows(places, rows)
+        best_first = np.argsort(-_ranks(rows), kind="stable")
+        _, first = np.unique(places[best_first], return_index=True)
+        best = best_first[first]  # the best row of each distinct place, of ties the first
         best = best[_ranks(rows[best]) > self.ranks(places[best])]
         self._keep(self._slots_for(places[best]), places[best], rows[best])
 
@@ -282,10 +283,3 @@ def _ranks(rows: Rows) -> Floats:
     """A number for each of `rows` that orders them by outcome and then by fitness."""
     fitness = rows["fitness"].astype(np.float64)
     return rows["outcome"] + fitness / (1.0 + fitness)
-
-
-def _best_rows(places: Places, rows: Rows) -> NDArray[np.intp]:
-    """Return indices of the best row of each distinct one of `places` (n,); ties: the first."""
-    best_first = np.argsort(-_ranks(rows), kind="stable")
-    _, first = np.unique(places[best_first], return_index=True)
-    return best_first[first]

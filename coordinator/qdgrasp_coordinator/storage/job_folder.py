@@ -109,10 +109,6 @@ class JobRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         name = job_name(path.absolute().name) if name is None else Keys(name).job
         return cls(name, identity=secrets.token_hex(16))
 
-    def in_turn(self, epoch: int) -> "JobRecord":
-        """Return the same job at a coordinator's epoch."""
-        return JobRecord(self.job, epoch, self.identity or secrets.token_hex(16))
-
     @property
     def file(self) -> dict[str, bytes]:
         """The content of `job.json` by file name, for a new folder."""
@@ -186,7 +182,8 @@ class JobFolder:
 
     def set_epoch(self, epoch: int) -> None:
         """Store an epoch; it is on the disk when this returns."""
-        atomic_files.replace(self.path / JOB, msgspec.json.encode(self._job.in_turn(epoch)))
+        record = JobRecord(self.name, epoch, self.identity or secrets.token_hex(16))
+        atomic_files.replace(self.path / JOB, msgspec.json.encode(record))
 
     @property
     def endpoint(self) -> str | None:
