@@ -68,7 +68,7 @@ class WithoutPreference(AimedSearch):
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
         options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
-        drawn = np.where(self._hints.ranks(options) < 0, -1.0, generator.random(options.shape))
+        drawn = np.where(self._elites.ranks(options) < 0, -1.0, generator.random(options.shape))
         parents: Places = options[np.arange(len(targets)), drawn.argmax(axis=1)]
         return parents
 
@@ -86,7 +86,7 @@ class WithoutSpareTries(AimedSearch):
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
         super().__init__(spec, space)
-        self._spare.ask = lambda *_: np.zeros(0, np.intp)  # type: ignore[method-assign]
+        self._retries.ask = lambda *_: np.zeros(0, np.intp)  # type: ignore[method-assign]
 
 
 class WithoutAim(AimedSearch):

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
 
-from qdgrasp_coordinator.recorder.run_store import RunStore
+from qdgrasp_coordinator.recorder.recorder import Recorder, open_recorder
 from qdgrasp_coordinator.scheduler.dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm
@@ -184,7 +184,7 @@ class Alone:
         self._rows = _rows(group)
         self._done = 0
         self._writer = JournalWriter.create(folder, JournalIdentity("run", "", "", SHAPE))
-        self._writer.begin_turn(1, time.time())
+        self._writer.begin_epoch(1, time.time())
 
     def close(self) -> None:
         self._writer.close()
@@ -204,9 +204,11 @@ class Turns:
 
     def __init__(self, stack: ExitStack, runs: int) -> None:
         self.names = [f"run-{number}" for number in range(runs)]
-        self._books = stack.enter_context(RunStore(_folder(stack) / "job", "job"))
-        self._books.open(_opening(self.names))
-        self._message = slice_to_message(JournalSlice(0, _rows(SLICE)), "", self._books.epoch, SHAPE)
+        self._recorder = stack.enter_context(
+            open_recorder(_folder(stack) / "job", "job", 60.0, time.monotonic())
+        )
+        self._recorder.open(_opening(self.names))
+        self._message = slice_to_message(JournalSlice(0, _rows(SLICE)), "", self._recorder.epoch, SHAPE)
         self._done = 0
 
     def __call__(self, meter: Meter) -> float:
@@ -214,10 +216,12 @@ class Turns:
         with meter.running():
             for _ in range(MESSAGES):
                 for name in self.names:
-                    self._books.take(replace(self._message, run=name, first=self._done), time.monotonic())
-                    _commit(self._books, time.monotonic())
+                    self._recorder.add_rows(
+                        replace(self._message, run=name, first=self._done), time.monotonic()
+                    )
+                    _commit(self._recorder, time.monotonic())
                 self._done += SLICE
-            _commit(self._books, inf)
+            _commit(self._recorder, inf)
         return MESSAGES * SLICE * len(self.names)
 
 
@@ -227,9 +231,9 @@ def _opening(names: list[str]) -> Open:
     return Open(job="job", runs=[OpenRun(run=name, spec=spec, scene="0" * 64, **widths) for name in names])
 
 
-def _commit(books: RunStore, now: float) -> None:
-    for run in books.due(now):
-        books.commit(run)
+def _commit(recorder: Recorder, now: float) -> None:
+    for run in recorder.due(now):
+        recorder.commit(run)
 
 
 def _rows(n: int) -> Rows:

@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder = RunFolder.open(path)
         reference = targets.of(folder.scene(), folder.spec.object).reference
         with folder.journal() as journal:
-            rows = np.concatenate([stretch.rows for stretch in journal.stretches()])
+            rows = np.concatenate([stretch.rows for stretch in journal.slices()])
         rows = rows[rows["trial"] == 0]
         table = Table(
             "evaluations", *(name for name in Share.__annotations__ if name != "until"), title=path.name

@@ -46,7 +46,7 @@ def rows_of(folder: RunFolder, asked: Key, budgets: set[int], targets: Reference
     if not budgets:
         return
     with folder.journal() as journal:
-        stretches = list(journal.stretches())
+        stretches = list(journal.slices())
         rows = np.concatenate([journal.shape.empty(0), *(stretch.rows for stretch in stretches)])
         stops = _stops(folder.spec, rows, budgets)
         known = _reference(folder, targets) if stops else None

@@ -41,7 +41,7 @@ def record(path: Path, rows: Rows = ROWS, platform: dict[str, str] = CODE, **set
     folder = RunFolder.create(path, spec, BUNDLE)
     with JournalWriter.create(path, JournalIdentity("run", to_toml(spec), BUNDLE.digest, SHAPE)) as journal:
         journal.set_platform(platform)
-        journal.begin_turn(1, 0.0)
+        journal.begin_epoch(1, 0.0)
         for first in range(0, len(rows), 10):
             part = rows[first : first + 10]
             journal.append(

@@ -39,7 +39,7 @@ def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:
     shape = RowShape(*(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor")))
     identity = JournalIdentity("run", to_toml(spec), bundle.digest, shape)
     with JournalWriter.create(path, identity) as journal:
-        journal.begin_turn(1, 0.0)
+        journal.begin_epoch(1, 0.0)
         if len(rows):
             journal.append(JournalSlice(0, rows, cpu_seconds=len(rows) / 100), 1, 1.0)
     return folder

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.metrics.job_status import (
     to_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
-from qdgrasp_coordinator.recorder.run_writer import RunIdentity
+from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
 from qdgrasp_coordinator.scheduler.batch_queue import read_result
 from qdgrasp_coordinator.storage import success_pages as found
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message
@@ -124,11 +124,7 @@ def seeds() -> dict[str, bytes]:
             "columns": pack(rows, COLUMNS),
             "failures": [messages.Failure(row=0, reason="x")],
         },
-        messages.SuccessPage: {
-            "columns": found.page_to_message(
-                drawn, 1, run="run", scene="", began=0.0, rows=1, joints=SHAPE.joints
-            ).columns
-        },
+        messages.SuccessPage: {"columns": found.success_columns(drawn)},
         messages.Open: {
             "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
         },

@@ -15,9 +15,9 @@ import msgspec
 from tests.simulation.plan import wild
 from tests.simulation.play import play
 
+from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
 from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
-from qdgrasp_coordinator.recorder.run_store import LockedJobFolder, RunStore
-from qdgrasp_coordinator.recorder.run_writer import Arrival, CommitQueue
+from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.scheduler import dispatcher as dispatching
 from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
 from qdgrasp_coordinator.scheduler.dispatcher import BatchTable, Dispatcher, SettledBatch
@@ -192,17 +192,15 @@ def _replay_without_last(replay: Any) -> Any:
 
 
 def _report_expected(report: Any) -> Any:
-    def reported(scribe: Recorder, run: str) -> Recorded:
-        message: Recorded = report(scribe, run)
-        return Recorded(
-            epoch=message.epoch, run=run, durable=scribe._books._ledgers[run].intake.expected, trouble=""
-        )
+    def reported(recorder: Recorder, run: str) -> Recorded:
+        message: Recorded = report(recorder, run)
+        return Recorded(epoch=message.epoch, run=run, durable=recorder.writers[run].expected, trouble="")
 
     return reported
 
 
-def _take_in_silence(scribe: Recorder, message: Recordable, now: float) -> None:
-    scribe._books.take(message, now)
+def _take_in_silence(recorder: Recorder, message: Recordable, now: float) -> None:
+    recorder.add_rows(message, now)
 
 
 def _forget_sent(due: Any) -> Any:
@@ -224,22 +222,22 @@ def _number_batches(push: Any) -> Any:
     return pushed
 
 
-def _take_any_epoch(take: Any) -> Any:
-    def taken(books: RunStore, message: Recordable, now: float) -> Arrival:
-        arrival: Arrival = take(books, msgspec.structs.replace(message, epoch=books.epoch), now)
+def _take_any_epoch(add_rows: Any) -> Any:
+    def added(recorder: Recorder, message: Recordable, now: float) -> Arrival:
+        arrival: Arrival = add_rows(recorder, msgspec.structs.replace(message, epoch=recorder.epoch), now)
         return arrival
 
-    return taken
+    return added
 
 
-def _take_past_gaps(offer: Any) -> Any:
-    def offered(intake: CommitQueue, epoch: int, stretch: JournalSlice, now: float) -> Arrival:
-        if stretch.first > intake.expected:
-            stretch = replace(stretch, first=intake.expected)
-        arrival: Arrival = offer(intake, epoch, stretch, now)
+def _take_past_gaps(add: Any) -> Any:
+    def added(writer: RunWriter, part: JournalSlice, epoch: int, now: float) -> Arrival:
+        if part.first > writer.expected:
+            part = replace(part, first=writer.expected)
+        arrival: Arrival = add(writer, part, epoch, now)
         return arrival
 
-    return offered
+    return added
 
 
 MUTATIONS = [
@@ -278,13 +276,13 @@ MUTATIONS = [
         "take rows of an older epoch",
         "8",
         ("epochs rise",),
-        lambda: [method(RunStore, "take", _take_any_epoch)],
+        lambda: [method(Recorder, "add_rows", _take_any_epoch)],
     ),
     Mutation(
         "take rows past a gap",
         "8",
         ("true journal",),
-        lambda: [method(CommitQueue, "offer", _take_past_gaps)],
+        lambda: [method(RunWriter, "add", _take_past_gaps)],
     ),
     Mutation(
         "no lease ever passes", "4", ("progress",), lambda: [patch.object(Worker, "deadline", lambda *_: inf)]
@@ -360,7 +358,7 @@ MUTATIONS = [
         "8",
         ("progress",),
         lambda: [
-            patch.object(ReportSchedule, "heard", lambda *_: None),
+            patch.object(ReportSchedule, "keep_reporting", lambda *_: None),
             patch.object(Recorder, "_take_rows", _take_in_silence),
         ],
     ),

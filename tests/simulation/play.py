@@ -143,12 +143,12 @@ class Faults:
 
 
 SMALL = [
-    (recorder_client, "SLICE", 4),
-    (recorder_client, "BOUND", 8),
-    (recorder_client, "PAGE", 7),
-    (dispatcher, "REMEMBERED", 30),
+    (recorder_client, "MESSAGE_ROWS", 4),
+    (recorder_client, "MOST_UNCONFIRMED", 8),
+    (recorder_client, "REPLAY_ROWS", 7),
+    (dispatcher, "MOST_SETTLED", 30),
 ]
-SMALL += [(run_writer, "GROUP_ROWS", 6), (run_writer, "CAPACITY", 150)]
+SMALL += [(run_writer, "GROUP_ROWS", 6), (run_writer, "MOST_WAITING", 150)]
 """Bounds that small histories reach."""
 
 
@@ -213,5 +213,5 @@ def _play(history: History, trace: bool) -> Verdict:
     verdict.seconds, verdict.events, verdict.trace = world.now, world.events, world.trace or []
     coordinators = stage.of(Coordinator, living=False)
     verdict.counters = coordinators[-1].turn.dispatch.counters if coordinators else {}
-    verdict.journals = {run: paper.journal for run, paper in stage.disk.papers.items()}
+    verdict.journals = {run: file.journal for run, file in stage.disk.files.items()}
     return verdict

@@ -9,10 +9,11 @@ from tests.simulation.network import Asked, Network, World
 from tests.simulation.process import Busy, Life, Listen, Process
 from tests.simulation.worker import JOB, KEYS
 
+from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder, RunIdentity, check_same_run
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.recorder_service import LONGEST_WAIT
-from qdgrasp_coordinator.recorder.run_store import LockedJobFolder, RunStore
-from qdgrasp_coordinator.recorder.run_writer import RunIdentity, RunWriter, check_same_run
+from qdgrasp_coordinator.recorder.run_writer import RunWriter
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_protocol import messages
@@ -22,7 +23,7 @@ from qdgrasp_protocol.messages import Recorded
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, from_toml
 
-FOLDER = Path("paper")
+FOLDER = Path("memory")
 
 
 @dataclass
@@ -35,34 +36,34 @@ class MemoryFile:
     scene: str
     shape: RowShape
     platform: dict[str, str] = field(default_factory=dict)
-    stretches: list[JournalSlice] = field(default_factory=list)
+    slices: list[JournalSlice] = field(default_factory=list)
     epochs: list[int] = field(default_factory=list)
-    """Whose each stretch is."""
+    """The epoch of each slice."""
 
     @property
     def count(self) -> int:
-        return self.stretches[-1].stop if self.stretches else 0
+        return self.slices[-1].stop if self.slices else 0
 
-    def append(self, stretch: JournalSlice, epoch: int, now: float) -> None:
+    def append(self, part: JournalSlice, epoch: int, now: float) -> None:
         self.disk.check()
-        if stretch.first != self.count:
-            raise ValueError(f"row {self.count} is next, got {stretch.first}")
-        self.stretches.append(stretch)
+        if part.first != self.count:
+            raise ValueError(f"row {self.count} is next, got {part.first}")
+        self.slices.append(part)
         self.epochs.append(epoch)
 
-    def stretch(self, first: int, limit: int) -> JournalSlice:
+    def slice(self, first: int, limit: int) -> JournalSlice:
         stop = min(first + limit, self.count)
         if first >= stop:
             return JournalSlice(first, self.shape.empty(0))
-        kept = [part for part in self.stretches if part.stop > first and part.first < stop]
+        kept = [part for part in self.slices if part.stop > first and part.first < stop]
         return join_slices([part.part(first, stop) for part in kept])
 
     @property
     def journal(self) -> bytes:
         """All rows."""
-        return b"".join(stretch.rows.tobytes() for stretch in self.stretches)
+        return b"".join(part.rows.tobytes() for part in self.slices)
 
-    def begin_turn(self, epoch: int, now: float) -> None:
+    def begin_epoch(self, epoch: int, now: float) -> None:
         self.disk.check()
 
     def set_platform(self, platform: dict[str, str]) -> None:
@@ -74,42 +75,42 @@ class MemoryFile:
 
     def cut(self, count: int) -> None:
         """Be an older copy of itself."""
-        self.stretches = [part.part(0, count) for part in self.stretches if part.first < count]
-        self.epochs = self.epochs[: len(self.stretches)]
+        self.slices = [part.part(0, count) for part in self.slices if part.first < count]
+        self.epochs = self.epochs[: len(self.slices)]
 
 
 @dataclass
 class MemoryDisk:
-    """The disk of a job's recorder; also what the real books take for their journals."""
+    """The disk of a job's recorder; also what a recorder takes for its open journals."""
 
     epoch: int = 0
     is_begun: bool = False
     is_full: bool = False
     was_restored: bool = False
-    papers: dict[str, MemoryFile] = field(default_factory=dict)
+    files: dict[str, MemoryFile] = field(default_factory=dict)
     holder: object = None
-    """Who holds the lock of the folder."""
+    """The process that holds the lock of the folder."""
 
     def check(self) -> None:
         if self.is_full:
             raise DiskFull("There is no room.")
 
     def at(self, folder: Path) -> MemoryFile:
-        return self.papers[folder.name]
+        return self.files[folder.name]
 
     def begin(self, folder: Path, identity: JournalIdentity) -> None:
         self.check()
         spec = from_toml(identity.spec)
-        self.papers[folder.name] = MemoryFile(self, folder.name, spec, identity.scene, identity.shape)
+        self.files[folder.name] = MemoryFile(self, folder.name, spec, identity.scene, identity.shape)
 
     def counts(self) -> dict[str, int]:
-        """How many rows are on it of each run."""
-        return {run: paper.count for run, paper in self.papers.items()}
+        """Number of rows on it of each run."""
+        return {run: file.count for run, file in self.files.items()}
 
     def cut(self, counts: dict[str, int]) -> None:
         """Lose what was committed behind these numbers."""
-        for run, paper in self.papers.items():
-            paper.cut(counts.get(run, 0))
+        for run, file in self.files.items():
+            file.cut(counts.get(run, 0))
 
     def make_room(self) -> None:
         """Have room again."""
@@ -119,7 +120,7 @@ class MemoryDisk:
         """Be an older copy of itself, with the epoch of its time."""
         share = chance.random()
         self.cut({run: int(share * count) for run, count in self.counts().items()})
-        epochs = [paper.epochs[-1] for paper in self.papers.values() if paper.epochs]
+        epochs = [file.epochs[-1] for file in self.files.values() if file.epochs]
         self.epoch = min(self.epoch, max(epochs, default=1))
         self.was_restored = True
 
@@ -129,23 +130,24 @@ class MemoryRunFolder:
 
     def __init__(self, disk: MemoryDisk, run: str) -> None:
         self.path = FOLDER / run
-        self._paper = disk.papers[run]
+        self._file = disk.files[run]
 
     @property
     def spec(self) -> RunSpec:
-        return self._paper.spec
+        return self._file.spec
 
     def rewrite_spec(self, spec: RunSpec) -> None:
-        self._paper.spec = spec
+        self._file.spec = spec
 
     def add_bundle(self, payload: bytes) -> None:
-        """Nobody looks at it."""
+        """Do nothing: the scene is not read."""
 
 
-class MemoryJobFolder:
+class MemoryJobFolder(JobFolder):
     """The folder of a job."""
 
     def __init__(self, disk: MemoryDisk) -> None:
+        super().__init__(FOLDER)
         self._disk = disk
 
     @property
@@ -160,13 +162,11 @@ class MemoryJobFolder:
 
     @property
     def is_campaign(self) -> bool:
-        return "run" not in self._disk.papers
-
-    run_paths = ()
+        return "run" not in self._disk.files
 
 
 class MemoryLockedFolder(LockedJobFolder):
-    """The real holding, without files."""
+    """The real locked folder, without files."""
 
     def __init__(self, disk: MemoryDisk, job: str) -> None:
         self._disk = disk
@@ -175,51 +175,46 @@ class MemoryLockedFolder(LockedJobFolder):
     def begin(self, run: str, spec: RunSpec) -> None:
         self._disk.check()
         self._disk.is_begun = True
-        self._look()
+        self._lock_existing()
 
-    def _look(self) -> None:
-        if self._disk.is_begun and self._folder is None:
-            self._folder = MemoryJobFolder(self._disk)  # type: ignore[assignment]
+    def _lock_existing(self) -> None:
+        if self._disk.is_begun and not self.is_begun:
+            self.folder = MemoryJobFolder(self._disk)
+            self.is_begun = True
             self.epoch = max(self.epoch, self._disk.epoch)
 
 
-class MemoryRunStore(RunStore):
-    """The real books, on paper."""
+class MemoryRecorder(Recorder):
+    """The real recorder, with journals in memory."""
 
-    def __init__(self, disk: MemoryDisk, job: str) -> None:
-        self._disk = disk
-        self._holding = MemoryLockedFolder(disk, job)
-        self._journals = disk  # type: ignore[assignment]
-        self._ledgers: dict[str, RunWriter] = {}
-        self._waiting: dict[str, RunWriter] = {}
-        self._bare: dict[str, RunWriter] = {}
-        self._find("run")
-        self._platform = self._recorded_platform()
+    def __init__(self, disk: MemoryDisk, job: str, disk_wait: float, now: float) -> None:
+        self._memory = disk
+        super().__init__(MemoryLockedFolder(disk, job), disk, disk_wait, now)  # type: ignore[arg-type]
 
     def _recorded_platform(self) -> dict[str, str]:
-        return next((paper.platform for paper in self._disk.papers.values() if paper.platform), {})
+        return next((file.platform for file in self._memory.files.values() if file.platform), {})
 
-    def _check(self, subject: RunIdentity) -> None:
-        ledger = self._find(subject.run)
-        if ledger is not None:
-            check_same_run(FOLDER, ledger.subject, subject)
+    def _check(self, run: RunIdentity) -> None:
+        writer = self._find(run.run)
+        if writer is not None:
+            check_same_run(FOLDER, writer.identity, run)
 
-    def _open(self, subject: RunIdentity) -> RunWriter:
-        if subject.run not in self._disk.papers:
-            self._disk.begin(FOLDER / subject.run, subject.identity)
-        ledger = self._ledger(subject.run)
-        ledger.begin_turn(subject.spec, self.epoch)
-        return ledger
+    def _open(self, run: RunIdentity) -> RunWriter:
+        if run.run not in self._memory.files:
+            self._memory.begin(FOLDER / run.run, run.for_journal)
+        writer = self._writer(run.run)
+        writer.begin_epoch(run.spec, self.epoch)
+        return writer
 
     def _find(self, run: str) -> RunWriter | None:
-        if run not in self._ledgers and run in self._disk.papers:
-            folder = MemoryRunFolder(self._disk, run)
-            self._ledgers[run] = RunWriter(folder, self._journals, self.epoch)  # type: ignore[arg-type]
-        return self._ledgers.get(run)
+        if run not in self.writers and run in self._memory.files:
+            folder = MemoryRunFolder(self._memory, run)
+            self.writers[run] = RunWriter(folder, self._journals, self.epoch)  # type: ignore[arg-type]
+        return self.writers.get(run)
 
 
 PATIENCE = 60.0
-"""How long a full disk is waited for [s]."""
+"""Longest wait for a full disk [s]."""
 
 
 class SimulatedRecorder(Process):
@@ -232,9 +227,9 @@ class SimulatedRecorder(Process):
     latency
         The mean time of a commit [s].
     opened
-        Told when it keeps the books.
+        Called with the recorder once it has the lock.
     reports
-        Told of each report.
+        Called with each report.
     """
 
     def __init__(
@@ -244,7 +239,7 @@ class SimulatedRecorder(Process):
         name: str,
         disk: MemoryDisk,
         latency: float,
-        opened: Callable[[MemoryRunStore], None],
+        opened: Callable[[Recorder], None],
         reports: Callable[[Recorded], None],
     ) -> None:
         self._disk = disk
@@ -252,8 +247,7 @@ class SimulatedRecorder(Process):
         self._opened = opened
         self._reports = reports
         self._before: dict[str, int] | None = None
-        self.scribe: Recorder | None = None
-        self.books: MemoryRunStore | None = None
+        self.recorder: Recorder | None = None
         super().__init__(world, network, name)
 
     def life(self) -> Life:
@@ -261,22 +255,21 @@ class SimulatedRecorder(Process):
         while self._disk.holder is not None:
             yield Busy(1.0)
         self._disk.holder = self
-        self.books = MemoryRunStore(self._disk, JOB)
-        self._opened(self.books)
-        self.scribe = Recorder(self.books, JOB, FOLDER, PATIENCE, self.now)
+        self.recorder = MemoryRecorder(self._disk, JOB, PATIENCE, self.now)
+        self._opened(self.recorder)
         self.network.subscribe(self.session, KEYS.outcome())
         self.network.answer(self.session, KEYS.open)
         self.network.answer(self.session, KEYS.log)
         self.network.token(self.session, KEYS.recorder_token(self.name.replace(" ", "")))
         while True:
-            yield Listen(max(0.0, min(self.scribe.deadline - self.now, LONGEST_WAIT)))
-            yield from self._step(self.scribe)
+            yield Listen(max(0.0, min(self.recorder.deadline - self.now, LONGEST_WAIT)))
+            yield from self._step(self.recorder)
 
     def hear(self, event: object) -> None:
-        """Answer a question at once where nobody waits for it in between; see `Network.ask_now`."""
-        if isinstance(event, Asked) and self.scribe is not None and self.is_running:
+        """Answer a query at once when its sender does not wait in between; see `Network.ask_now`."""
+        if isinstance(event, Asked) and self.recorder is not None and self.is_running:
             self.world.touched.append(self)
-            event.reply(self._answer(event, self.scribe))
+            event.reply(self._answer(event, self.recorder))
         elif not isinstance(event, Asked):
             super().hear(event)
 
@@ -289,25 +282,25 @@ class SimulatedRecorder(Process):
             self._disk.holder = None
         super().end(flushed=flushed)
 
-    def _answer(self, asked: Asked, scribe: Recorder) -> bytes | Exception:
+    def _answer(self, asked: Asked, recorder: Recorder) -> bytes | Exception:
         if self._before is not None:
             return NoReply("it is busy")
         try:
-            return scribe.answer(asked.query, self.now)
+            return recorder.answer(asked.query, self.now)
         except (NoReply, Refused) as reason:
             return reason
         except DiskFull:
             self.world.later(0.0, self.end)
             return NoReply("its disk is full")
 
-    def _step(self, scribe: Recorder) -> Life:
-        """Hear what came, commit what is due, and say so once it is on the disk."""
+    def _step(self, recorder: Recorder) -> Life:
+        """Process what came, commit what is due, and report it once it is on the disk."""
         for event in self.events():
             if isinstance(event, Sample):
-                scribe.take(event, self.now)
+                recorder.take(event, self.now)
         before = self._disk.counts()
         try:
-            reports = scribe.step(self.now)
+            reports = recorder.step(self.now)
         except DiskFull:
             self.note("gives a full disk up")
             return

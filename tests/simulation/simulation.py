@@ -1,4 +1,4 @@
-"""A whole simulation: its world, its processes, who starts them again, and its checks."""
+"""A whole simulation: its world, its processes, the keeper that restarts them, and its checks."""
 
 import hashlib
 from collections import Counter
@@ -19,7 +19,7 @@ from tests.simulation.worker import CREDIT, Forger, Mishaps, Speed, Worker
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.recorder import run_writer
-from qdgrasp_coordinator.recorder.run_store import RunStore
+from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival
 from qdgrasp_coordinator.scheduler import dispatcher, recorder_client, worker_registry
 from qdgrasp_coordinator.scheduler.batch_queue import Batch, Lease, Settlement, SettleReply
@@ -384,17 +384,17 @@ class SimulationChecker:
         self._epochs.add(epoch)
         self._turns[host.name] = DispatchChecker(host, self._stage.task)
 
-    def opened(self, books: RunStore) -> None:
-        """Hear that a recorder keeps the books; watches what it takes."""
-        take = books.take
+    def opened(self, recorder: Recorder) -> None:
+        """Watch the rows that a recorder takes."""
+        add_rows = recorder.add_rows
 
-        def taken(message: Recordable, now: float) -> Arrival:
-            epoch, arrival = books.epoch, take(message, now)
+        def added(message: Recordable, now: float) -> Arrival:
+            epoch, arrival = recorder.epoch, add_rows(message, now)
             is_old = arrival is Arrival.TAKEN and message.epoch < epoch
             require(not is_old, "epochs rise", f"rows of epoch {message.epoch} are taken in {epoch}")
             return arrival
 
-        books.take = taken  # type: ignore[method-assign]
+        recorder.add_rows = added  # type: ignore[method-assign]
 
     def reported(self, report: Recorded) -> None:
         """Hear what a recorder reports."""
@@ -419,23 +419,21 @@ class SimulationChecker:
 
     def _look_at_disk(self) -> None:
         size, disk = self._stage.task.shape.dtype.itemsize, self._stage.disk
-        for run, paper in disk.papers.items():
-            done = min(self._checked.get(run, 0), len(paper.stretches))
-            for place in range(done, len(paper.stretches)):
-                stretch = paper.stretches[place]
-                before = paper.stretches[place - 1].stop if place else 0
-                require(stretch.first == before, "true journal", f"{run}: {stretch.first} behind {before}")
-                expected = self._stage.journals[run][stretch.first * size : stretch.stop * size]
-                require(
-                    stretch.rows.tobytes() == expected, "true journal", f"{run}: rows from {stretch.first}"
-                )
+        for run, file in disk.files.items():
+            done = min(self._checked.get(run, 0), len(file.slices))
+            for place in range(done, len(file.slices)):
+                part = file.slices[place]
+                before = file.slices[place - 1].stop if place else 0
+                require(part.first == before, "true journal", f"{run}: {part.first} behind {before}")
+                expected = self._stage.journals[run][part.first * size : part.stop * size]
+                require(part.rows.tobytes() == expected, "true journal", f"{run}: rows from {part.first}")
                 if not disk.was_restored:
-                    lower = place and paper.epochs[place] < paper.epochs[place - 1]
-                    require(not lower, "epochs rise", paper.epochs[place - 1 : place + 1])
+                    lower = place and file.epochs[place] < file.epochs[place - 1]
+                    require(not lower, "epochs rise", file.epochs[place - 1 : place + 1])
                     require(
-                        paper.epochs[place] <= disk.epoch, "epochs rise", paper.epochs[place], "is not stored"
+                        file.epochs[place] <= disk.epoch, "epochs rise", file.epochs[place], "is not stored"
                     )
-            self._checked[run] = len(paper.stretches)
+            self._checked[run] = len(file.slices)
 
     def _look_at_coordinator(self, coordinator: Coordinator) -> None:
         for lane in coordinator.lanes:
@@ -463,7 +461,7 @@ class SimulationChecker:
         require(
             len(lane.pipeline._reasons) <= most, "bounded memory", "reasons:", len(lane.pipeline._reasons)
         )
-        durable = self._stage.disk.papers[lane.run].count
+        durable = self._stage.disk.files[lane.run].count
         if not self._stage.disk.was_restored:
             kept = durable if not box._kept else box._kept[0].first
             require(
@@ -476,11 +474,11 @@ class SimulationChecker:
         self._pushed[lane] = box._end
 
     def _look_at_recorder(self, recorder: SimulatedRecorder) -> None:
-        for ledger in recorder.books._ledgers.values() if recorder.books else ():
-            waiting = ledger.intake.expected - ledger.intake.durable
-            require(waiting <= run_writer.MOST_WAITING, "bounded memory", "intake:", waiting)
-        if recorder.scribe is not None:
-            reports = recorder.scribe._reports
+        if recorder.recorder is not None:
+            for writer in recorder.recorder.writers.values():
+                waiting = writer.expected - writer.durable
+                require(waiting <= run_writer.MOST_WAITING, "bounded memory", "rows that wait:", waiting)
+            reports = recorder.recorder._reports
             require(set(reports._due) <= set(self._stage.plans), "bounded memory", "reports")
 
     def _look_at_worker(self, worker: Worker) -> None:

@@ -16,7 +16,7 @@ from msgspec import Struct
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
 from qdgrasp_coordinator.campaign.summary import run_summary
-from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows, run_totals
+from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES, RunCounter, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan
 from qdgrasp_coordinator.search.registry import check_spec
@@ -196,7 +196,7 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
         return None
     if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
         raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    return run_totals(run_summary(folder))
+    return run_summary(folder).totals
 
 
 def _count_finished(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
@@ -207,8 +207,8 @@ def _count_finished(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
         raise EndsTooSoon(folder.path, reason) from None
     if not found.finished:
         return None
-    write_cached_totals(folder, spec, run_totals(found))
-    return run_totals(found)
+    write_cached_totals(folder, spec, found.totals)
+    return found.totals
 
 
 def _share_scene(one: RunSpec, other: RunSpec) -> bool:

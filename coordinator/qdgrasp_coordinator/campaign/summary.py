@@ -3,7 +3,7 @@
 import msgspec
 from msgspec import field, structs
 
-from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows, run_totals
+from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
 from qdgrasp_coordinator.metrics.success_metrics import (
     Diversity,
     EtaSummary,
@@ -96,7 +96,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
         metrics, archive = SuccessMetrics(trial_count(spec.protocol)), empty_niche_archive(folder)
         found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
         return RunSummary(
-            **structs.asdict(run_totals(found)),
+            **structs.asdict(found.totals),
             gripper=spec.gripper,
             object=spec.object,
             scale=spec.scale or 1.0,

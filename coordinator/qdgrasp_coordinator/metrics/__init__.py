@@ -1,1 +1,1 @@
-"""Counts, scores and bins over the rows of runs; plain functions of rows, without files or a bus."""
+"""Counts, scores and bins over the rows of runs: functions of rows, without files or a bus."""

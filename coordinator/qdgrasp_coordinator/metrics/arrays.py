@@ -19,17 +19,10 @@ from qdgrasp_protocol.rows import Rows
 
 
 def read_arrays(path: Path, what: str) -> dict[str, NDArray[np.generic]]:
-    """The arrays in an npz file, by name; nothing in it is unpickled.
+    """Return the arrays in an npz file, by name; nothing in it is unpickled.
 
-    Parameters
-    ----------
-    what
-        What the file is to hold, in a word for errors: "poses", "reference set".
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no npz file of plain arrays.
+    `what` the file is to hold is named in errors ("poses", "reference set"): `InputError` where it cannot be
+    read, or is no npz file of plain arrays.
     """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
@@ -46,17 +39,8 @@ REAL = "fiu"  # Kinds of arrays that hold real numbers
 def real_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
     """Return real numbers of a shape as float64; NaN and infinity are allowed.
 
-    Parameters
-    ----------
-    name
-        What is given, for errors.
-    shape
-        A length for each axis, or a letter where any will do: ("n", 3).
-
-    Raises
-    ------
-    InputError
-        They are no real numbers, or of another shape.
+    The shape is a length for each axis, or a letter where any will do: ("n", 3). Other values raise
+    `InputError`, which calls them `name`.
     """
     expected = "numbers of shape ({}{})".format(", ".join(map(str, shape)), "," * (len(shape) == 1))
     try:
@@ -71,7 +55,7 @@ def real_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> 
 
 
 def finite_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
-    """Return real numbers of a shape as `numbers` does; NaN and infinity are refused."""
+    """Return real numbers of a shape as `real_numbers` does; NaN and infinity are refused."""
     array = real_numbers(name, values, shape)
     if not np.isfinite(array).all():
         raise InputError(f"{name} holds a number that is not finite.")

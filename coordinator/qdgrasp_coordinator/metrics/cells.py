@@ -25,17 +25,9 @@ _REACH = 1 << 20  # `keys` tells cells apart whose components are smaller than t
 
 
 def cells(positions: ArrayLike) -> NDArray[np.int64]:
-    """The cell of each position.
+    """Return the cell (n, 3) of each position (n, 3) [m].
 
-    Parameters
-    ----------
-    positions
-        (n, 3) [m].
-
-    Returns
-    -------
-    cells
-        (n, 3): `round(100 x)`, halves to even, computed in float64 as S_G was rounded.
+    `round(100 x)`, halves to even, computed in float64 as S_G was rounded.
     """
     return np.rint(np.asarray(positions, dtype=np.float64) * PER_METRE).astype(np.int64)
 
@@ -43,8 +35,7 @@ def cells(positions: ArrayLike) -> NDArray[np.int64]:
 def cell_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """One number per cell (n, 3), equal for equal cells only: (n,), for sets and for counting."""
     shifted = cells + _REACH
-    packed: NDArray[np.int64] = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
-    return packed
+    return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 
 
 def best_per_cell(

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, TypeVar, get_type_hints
 import msgspec
 from msgspec import Meta, Struct, structs
 
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals, run_totals
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals, described
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import shorten
 from qdgrasp_protocol.spec import RunSpec
@@ -23,36 +23,30 @@ RUNS_PER_PAGE = 256  # The most entries in one answer
 class RunListing(RunTotals, frozen=True, kw_only=True):
     """Identity of a run, and what its rows add up to: in progress, or in a job's folder."""
 
-    run: Annotated[str, Meta(description="Its name in its job.")]
-    gripper: Annotated[str, Meta(description="As the spec names it: built in, or a file.")]
-    object: Annotated[str, Meta(description="As the spec names it: built in, on the asset path, or a file.")]
-    method: Annotated[str, Meta(description="The search with its prior.")]
-    protocol: Annotated[str, Meta(description="The evaluation protocol.")]
-    seed: Annotated[int, Meta(description="Of the search.")]
-    scene: Annotated[str, Meta(description="sha256 of the scene bundle.")]
-    budget: Annotated[int, Meta(description="Counted evaluations after which it is over.")]
-    rows: Annotated[int, Meta(description="Journal rows: genomes and trials.")]
+    run: Annotated[str, described("Its name in its job.")]
+    gripper: Annotated[str, described("As the spec names it: built in, or a file.")]
+    object: Annotated[str, described("As the spec names it: built in, on the asset path, or a file.")]
+    method: Annotated[str, described("The search with its prior.")]
+    protocol: Annotated[str, described("The evaluation protocol.")]
+    seed: Annotated[int, described("Of the search.")]
+    scene: Annotated[str, described("sha256 of the scene bundle.")]
+    budget: Annotated[int, described("Counted evaluations after which it is over.")]
+    rows: Annotated[int, described("Journal rows: genomes and trials.")]
     outcomes: Annotated[
         dict[str, int],
-        Meta(
-            description="Genomes by how their nominal evaluation ended: "
-            "each `Outcome` by its name in lower case."
-        ),
+        described("Genomes by how their nominal evaluation ended: each `Outcome` by its name in lower case."),
     ]
-    finished: Annotated[str, Meta(description="Why the run is over, in words; empty while it is not.")] = ""
+    finished: Annotated[str, described("Why the run is over, in words; empty while it is not.")] = ""
     folder: Annotated[
         str,
-        Meta(
-            description="Its folder on the recorder's machine, absolute; "
-            "empty where a coordinator tells of it."
-        ),
+        described("Its folder on the recorder's machine, absolute; empty where a coordinator tells of it."),
     ] = ""
 
     @classmethod
-    def of(cls, run: str, spec: RunSpec, scene: str, found: RunCounter) -> "RunListing":
-        """Return the entry of a run from its name, spec, scene and the tally of its rows."""
+    def of(cls, run: str, spec: RunSpec, scene: str, counter: RunCounter) -> "RunListing":
+        """Return the listing of a run from its name, spec, scene and the counter of its rows."""
         return RunListing(
-            **structs.asdict(run_totals(found)),
+            **structs.asdict(counter.totals),
             run=run,
             gripper=spec.gripper,
             object=spec.object,
@@ -60,29 +54,28 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
             protocol=spec.protocol,
             seed=spec.seed,
             scene=scene,
-            budget=found.budget,
-            rows=found.rows,
-            outcomes=found.outcomes,
-            finished=found.finished or "",
+            budget=counter.budget,
+            rows=counter.rows,
+            outcomes=counter.outcomes,
+            finished=counter.finished or "",
         )
 
 
 class RunListings(Struct, frozen=True, kw_only=True):
     """Runs in a job's folder, also finished ones, by name. JSON, the answer on `rec/runs`."""
 
-    runs: Annotated[list[RunListing], Meta(description="Those whose rows are counted.")]
+    runs: Annotated[list[RunListing], described("Those whose rows are counted.")]
     next: Annotated[
-        int, Meta(description="Ask with `from=<next>` for the runs behind these; 0: there are none.")
+        int, described("Ask with `from=<next>` for the runs behind these; 0: there are none.")
     ] = 0
     uncounted: Annotated[
-        int,
-        Meta(description="Runs left out because their rows are still being counted: ask again in a while."),
+        int, described("Runs left out because their rows are still being counted: ask again in a while.")
     ] = 0
-    host: Annotated[str, Meta(description="The recorder's machine.")] = ""
+    host: Annotated[str, described("The recorder's machine.")] = ""
     curve: Annotated[
         GrowthCurve | None,
-        Meta(
-            description="How the one run grew that was asked for; "
+        described(
+            "How the one run grew that was asked for; "
             "None where all were, or where its rows are not all there."
         ),
     ] = None
@@ -97,24 +90,23 @@ EventKind = Literal["job", "run", "worker", "recorder", "trouble", "error"]
 class JobEvent(Struct, frozen=True, kw_only=True):
     """Something that happened. Travels as JSON on `event/<kind>`."""
 
-    number: Annotated[int, Meta(description="Counts the events of one coordinator process, from 1.")]
+    number: Annotated[int, described("Counts the events of one coordinator process, from 1.")]
     at: Annotated[datetime, Meta(tz=True, description="When.")]
     kind: Annotated[
         EventKind,
-        Meta(
-            description="job, run, worker, recorder; trouble keeps a job from going on; "
-            "error: a row or run is given up."
+        described(
+            "job, run, worker, recorder; trouble keeps a job from going on; error: a row or run is given up."
         ),
     ]
-    words: Annotated[str, Meta(description="What, in a sentence for a person.")]
-    run: Annotated[str, Meta(description="Which run it is about; empty: none.")] = ""
-    worker: Annotated[str, Meta(description="Which worker (its `wid`) it is about; empty: none.")] = ""
+    words: Annotated[str, described("What, in a sentence for a person.")]
+    run: Annotated[str, described("Which run it is about; empty: none.")] = ""
+    worker: Annotated[str, described("Which worker (its `wid`) it is about; empty: none.")] = ""
 
 
 class JobEvents(Struct, frozen=True, kw_only=True):
     """Latest events, eldest first, at most `EVENTS_KEPT`. JSON, the answer to `event/recent`."""
 
-    events: Annotated[list[JobEvent], Meta(description="At most 200, eldest first.")]
+    events: Annotated[list[JobEvent], described("At most 200, eldest first.")]
 
 
 WORKERS_PER_PAGE = 64  # The most workers on one page
@@ -123,32 +115,27 @@ WORKERS_PER_PAGE = 64  # The most workers on one page
 class WorkerStatus(Struct, frozen=True, kw_only=True):
     """A worker of a job, as the coordinator sees it."""
 
-    wid: Annotated[str, Meta(description="Its id: 32 hexadecimal digits, new at every start.")]
-    host: Annotated[str, Meta(description="Where it runs.")]
-    pid: Annotated[int, Meta(description="Of its process.")]
+    wid: Annotated[str, described("Its id: 32 hexadecimal digits, new at every start.")]
+    host: Annotated[str, described("Where it runs.")]
+    pid: Annotated[int, described("Of its process.")]
     state: Annotated[
         str,
-        Meta(
-            description='"working", "idle", "stuck" (it let a lease pass), '
-            '"leaving" (it is drained) or "gone".'
-        ),
+        described('"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone".'),
     ]
-    batches: Annotated[int, Meta(description="Batches that it holds.")]
-    rows: Annotated[int, Meta(description="Rows that it has settled.")]
+    batches: Annotated[int, described("Batches that it holds.")]
+    rows: Annotated[int, described("Rows that it has settled.")]
     rate: Annotated[
-        float,
-        Meta(description="Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s]."),
+        float, described("Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s].")
     ]
-    seconds: Annotated[float, Meta(description="Since it joined [s].")]
-    seen: Annotated[float, Meta(description="Since it was heard of last, by a sign, a result or a join [s].")]
+    seconds: Annotated[float, described("Since it joined [s].")]
+    seen: Annotated[float, described("Since it was heard of last, by a sign, a result or a join [s].")]
     memory: Annotated[
         int,
-        Meta(
-            description="What it and its simulator have of the memory, as it said last [bytes]; "
-            "0: it has not said."
+        described(
+            "What it and its simulator have of the memory, as it said last [bytes]; 0: it has not said."
         ),
     ]
-    restarts: Annotated[int, Meta(description="How often it has started its simulator again.")]
+    restarts: Annotated[int, described("How often it has started its simulator again.")]
 
 
 class WorkersPage(Struct, frozen=True, kw_only=True):
@@ -157,18 +144,14 @@ class WorkersPage(Struct, frozen=True, kw_only=True):
     A worker that is gone stays on it for a minute.
     """
 
-    page: Annotated[int, Meta(description="Counted from 0.")]
+    page: Annotated[int, described("Counted from 0.")]
     pages: Annotated[
-        int,
-        Meta(
-            description="How many there are; those of a higher number, shown before, are not valid any more."
-        ),
+        int, described("How many there are; those of a higher number, shown before, are not valid any more.")
     ]
     workers: Annotated[
         list[WorkerStatus],
-        Meta(
-            description="At most 64, in the order in which they joined; "
-            "those that are gone stand last, for a minute."
+        described(
+            "At most 64, in the order in which they joined; those that are gone stand last, for a minute."
         ),
     ]
 
@@ -193,12 +176,12 @@ STARTUP_SECONDS = 30.0  # seconds in which a job that has no recorder yet is tak
 class RunStatus(RunListing, frozen=True, kw_only=True):
     """Progress of a run. Travels as JSON on `stat/run/<run>`."""
 
-    workers: Annotated[int, Meta(description="Workers of the job that are there, and make progress.")]
-    durable: Annotated[int, Meta(description="Rows that the recorder reports to be on disk.")]
-    seconds: Annotated[float, Meta(description="Since the coordinator opened the run [s].")]
-    rate: Annotated[float, Meta(description="Counted evaluations since then, replayed ones apart [1/s].")]
+    workers: Annotated[int, described("Workers of the job that are there, and make progress.")]
+    durable: Annotated[int, described("Rows that the recorder reports to be on disk.")]
+    seconds: Annotated[float, described("Since the coordinator opened the run [s].")]
+    rate: Annotated[float, described("Counted evaluations since then, replayed ones apart [1/s].")]
     trouble: Annotated[
-        str, Meta(description="What keeps the run from going on, in words; empty when nothing does.")
+        str, described("What keeps the run from going on, in words; empty when nothing does.")
     ] = ""
 
     @property
@@ -220,51 +203,46 @@ class RunStatus(RunListing, frozen=True, kw_only=True):
 class JobStatus(RunTotals, frozen=True, kw_only=True):
     """Progress of a job with all of its runs. Travels as JSON on `stat/job`."""
 
-    job: Annotated[str, Meta(description="Its name.")]
-    runs: Annotated[int, Meta(description="Of the job, begun or not.")]
-    runs_done: Annotated[int, Meta(description="Finished and recorded, also by earlier coordinators.")]
-    runs_failed: Annotated[int, Meta(description="Which cannot be carried out.")]
-    runs_open: Annotated[int, Meta(description="In progress.")]
-    budget: Annotated[int, Meta(description="Counted evaluations after which all runs are over.")]
+    job: Annotated[str, described("Its name.")]
+    runs: Annotated[int, described("Of the job, begun or not.")]
+    runs_done: Annotated[int, described("Finished and recorded, also by earlier coordinators.")]
+    runs_failed: Annotated[int, described("Which cannot be carried out.")]
+    runs_open: Annotated[int, described("In progress.")]
+    budget: Annotated[int, described("Counted evaluations after which all runs are over.")]
     remaining: Annotated[
         int,
-        Meta(
-            description="Counted evaluations that runs which are not over may still take; "
+        described(
+            "Counted evaluations that runs which are not over may still take; "
             "those that end early take fewer."
         ),
     ]
     waiting: Annotated[
-        int,
-        Meta(description="Settled rows that are not known to be on disk: how far the recorder is behind."),
+        int, described("Settled rows that are not known to be on disk: how far the recorder is behind.")
     ] = 0
     requeued: Annotated[
         int,
-        Meta(
-            description="Batches that were queued again, as their worker was lost, "
-            "in this coordinator's turn."
-        ),
+        described("Batches that were queued again, as their worker was lost, in this coordinator's turn."),
     ] = 0
     strays: Annotated[
         int,
-        Meta(
-            description="Results that were dropped in this turn: "
-            "late, duplicate, unknown, or of somebody else's batch."
+        described(
+            "Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."
         ),
     ] = 0
-    workers: Annotated[int, Meta(description="Workers that are there, and make progress.")]
-    seconds: Annotated[float, Meta(description="Since the coordinator started [s].")]
-    rate: Annotated[float, Meta(description="Counted evaluations since then, replayed ones apart [1/s].")]
+    workers: Annotated[int, described("Workers that are there, and make progress.")]
+    seconds: Annotated[float, described("Since the coordinator started [s].")]
+    rate: Annotated[float, described("Counted evaluations since then, replayed ones apart [1/s].")]
     trouble: Annotated[
-        str, Meta(description="What keeps the job from going on, in words; empty when nothing does.")
+        str, described("What keeps the job from going on, in words; empty when nothing does.")
     ] = ""
     state: Annotated[
         str,
-        Meta(
-            description='"starting" (no recorder has answered yet), "running", "paused", "ending", '
+        described(
+            '"starting" (no recorder has answered yet), "running", "paused", "ending", '
             'or at last "cancelled".'
         ),
     ] = "running"
-    recorders: Annotated[int, Meta(description="Recorders of this job that are there.")] = 0
+    recorders: Annotated[int, described("Recorders of this job that are there.")] = 0
 
     @property
     def words(self) -> str:
@@ -303,18 +281,18 @@ class JobStatus(RunTotals, frozen=True, kw_only=True):
 class JobMeta(Struct, frozen=True, kw_only=True):
     """Identity of a job and its coordinator. JSON on `meta` when a coordinator's epoch begins."""
 
-    job: Annotated[str, Meta(description="Its name.")]
+    job: Annotated[str, described("Its name.")]
     epoch: Annotated[
-        int, Meta(description="The coordinator's turn; 0 before it has one: no recorder has answered yet.")
+        int, described("The coordinator's turn; 0 before it has one: no recorder has answered yet.")
     ]
     since: Annotated[datetime, Meta(tz=True, description="When this coordinator started.")]
-    host: Annotated[str, Meta(description="The coordinator's.")]
-    pid: Annotated[int, Meta(description="Of the coordinator's process.")]
-    version: Annotated[str, Meta(description="Of qdgrasp.")]
-    runs: Annotated[int, Meta(description="Of the job, begun or not.")]
-    budget: Annotated[int, Meta(description="Counted evaluations after which all runs are over.")]
+    host: Annotated[str, described("The coordinator's.")]
+    pid: Annotated[int, described("Of the coordinator's process.")]
+    version: Annotated[str, described("Of qdgrasp.")]
+    runs: Annotated[int, described("Of the job, begun or not.")]
+    budget: Annotated[int, described("Counted evaluations after which all runs are over.")]
     identity: Annotated[
-        str, Meta(description="What tells the job from another one of its name; empty: it is not known.")
+        str, described("What tells the job from another one of its name; empty: it is not known.")
     ] = ""
 
 
@@ -341,13 +319,7 @@ def to_json(shown: Struct) -> bytes:
 
 
 def from_json(payload: bytes, kind: type[Kind]) -> Kind:
-    """Decode a published struct from JSON.
-
-    Raises
-    ------
-    MessageError
-        The payload is not such JSON, or holds a number that is no count.
-    """
+    """Decode a published struct; raise `MessageError` for other JSON, or numbers beyond bounds."""
     try:
         shown = msgspec.json.decode(payload, type=kind)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # ValueError: text that is not UTF-8
@@ -358,7 +330,7 @@ def from_json(payload: bytes, kind: type[Kind]) -> Kind:
 
 
 def _are_counts(value: object) -> bool:
-    """Return whether all numbers in a published value are between 0 and `MOST`."""
+    """Return whether all numbers in a published value are between 0 and `GREATEST_COUNT`."""
     match value:
         case int() | float():
             return 0 <= value <= GREATEST_COUNT
@@ -377,15 +349,7 @@ def utc_now() -> datetime:
 
 
 class EventLog:
-    """Numbers events and keeps the latest.
-
-    Parameters
-    ----------
-    show
-        Takes each event as it happens.
-    clock
-        The time of the day, with its zone.
-    """
+    """Numbers events, keeps the latest, and shows each as it happens."""
 
     def __init__(
         self, show: Callable[[JobEvent], None] = lambda _event: None, clock: Callable[[], datetime] = utc_now

@@ -12,7 +12,7 @@ journal does: coverage is given in both countings.
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -36,7 +36,7 @@ SCAN_PREFIX = "ycb_"
 
 ARCHIVE_BIN = 0.01  # The bins are this wide or a little wider [m]
 HAND_EXTENT = {"panda_2f": 0.2084, "robotiq_2f": 0.1681, "bh280": 0.3393, "allegro": 0.2498, "shadow": 0.5415}
-"""The largest extent of each reference hand's bounding box, which that code adds to the object's [m]."""
+"""Largest extent of each reference hand's bounding box, added to that of the object [m]."""
 SAME_HAND = {"panda": "panda_2f", "barrett": "bh280"}
 """Models of our own, by the reference hand that they stand for."""
 
@@ -52,7 +52,7 @@ class ReleasedArchive:
 
     @property
     def bins(self) -> int:
-        """How many bins each axis has."""
+        """Number of bins along each axis."""
         return int(self.side / ARCHIVE_BIN)
 
     def keys(self, positions: NDArray[np.floating]) -> NDArray[np.int64]:
@@ -63,18 +63,9 @@ class ReleasedArchive:
         return keys
 
     def elites(self, positions: NDArray[np.floating], fitness: NDArray[np.number]) -> NDArray[np.intp]:
-        """Which successes hold a cell in the end: in each the first of those with the greatest fitness.
+        """Return places (m,) of the elites: in each cell the first success of the greatest fitness.
 
-        Parameters
-        ----------
-        positions
-            (n, 3) [m], CoM frame, in journal order.
-        fitness
-            (n,), theirs.
-
-        Returns
-        -------
-        (m,) places in `positions`.
+        `positions` (n, 3) [m], CoM frame, and their `fitness` (n,) are in journal order.
         """
         keys = self.keys(positions)
         order = np.lexsort((np.arange(len(keys)), -fitness.astype(np.float64), keys))
@@ -83,7 +74,7 @@ class ReleasedArchive:
 
 
 def released_archive(scene: Scene) -> ReleasedArchive | None:
-    """The archive that the released code would use for a scene; None for a hand that it does not have.
+    """Return the released code's archive for a scene; None: that code does not have this hand.
 
     The cube stands around the object's bounding box as it was while the mesh frame lay at the origin. The
     object is moved to its centre of mass afterwards, the cube is not.
@@ -98,7 +89,7 @@ def released_archive(scene: Scene) -> ReleasedArchive | None:
 
 
 def reference_hand(gripper: str) -> str:
-    """The reference hand that a gripper is or stands for; its own name where it is none of them."""
+    """Return the reference hand that a gripper is or stands for; else its own name."""
     hand = gripper.removeprefix("ref_")
     return SAME_HAND.get(hand, hand)
 
@@ -110,18 +101,18 @@ def _hull_vertices(obj: bytes) -> NDArray[np.float64]:
 
 EXPECTED_FILE = "expected an .npz file with '<object>.cm' and '<object>.fitness'"
 ORIGIN_KEYS = ("made_with", "identity", "protocols")
-"""What a set that was built here says of each object, beside its gripper."""
+"""Keys under which a set that was built here describes each object, beside its gripper."""
 
 
 @dataclass(frozen=True)
 class ReferenceOrigin:
-    """What a set was built from."""
+    """Runs that a set was built from."""
 
     gripper: str
     object: str
     """The object of its runs: a name of the catalog or that of a mesh file."""
     identity: str
-    """`harvest.identity` of that object."""
+    """`object_identity` of that object."""
     protocols: tuple[str, ...]
     """The evaluation protocols of its runs, sorted."""
 
@@ -149,16 +140,10 @@ class ReferenceSet:
 
 
 def read_reference(path: Path, name: str) -> ReferenceSet:
-    """The set of the object `name` in a file.
+    """Return the set of the object `name` in a file.
 
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no npz file of plain arrays.
-    AssetError
-        It is not a reference set.
-    UnknownName
-        The file has no set for this object; those it has are named.
+    Raises `InputError` where there is no npz file of plain arrays, `AssetError` where it is not a reference
+    set, and `UnknownName` where it has no set for this object; those it has are named.
     """
     sets = read_references(path)
     if name not in sets:
@@ -178,22 +163,11 @@ def read_references(path: Path) -> dict[str, ReferenceSet]:
 
 
 def is_stand_in(run_object: str, identity: str, reference: ReferenceSet) -> bool:
-    """Whether a run's object only stands in for the scan that a set was made with.
+    """Return whether a run's object only stands in for the scan that a set was made with.
 
-    Parameters
-    ----------
-    run_object
-        The object as the run's spec names it.
-    identity
-        Its `harvest.identity`.
-    reference
-        The set. One that does not say what it was built from was made with the scan.
-
-    Raises
-    ------
-    InputError
-        The run is neither on the object that the set was made with nor, where that is the scan, on its
-        stand-in, so that its positions mean something else.
+    The object is given as the run's spec names it, with its `object_identity`; a set that does not say what
+    it was built from was made with the scan. Raises `InputError` where the run is neither on the object that
+    the set was made with nor, where that is the scan, on its stand-in: its positions mean something else.
     """
     name, origin = reference.object, reference.origin
     if origin is not None and origin.identity == identity:
@@ -225,8 +199,8 @@ def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]
 
 
 def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceOrigin | None:
-    said = [arrays.get(key) for key in ("gripper", *(f"{name}.{part}" for part in ORIGIN_KEYS))]
-    gripper, made_with, identity, protocols = said
+    values = [arrays.get(key) for key in ("gripper", *(f"{name}.{part}" for part in ORIGIN_KEYS))]
+    gripper, made_with, identity, protocols = values
     if gripper is None or made_with is None or identity is None or protocols is None:
         return None
     return ReferenceOrigin(str(gripper), str(made_with), str(identity), tuple(map(str, protocols.ravel())))
@@ -241,31 +215,28 @@ PUBLISHED_SETS = "reference/S_G_{hand}.npz"  # Where the published sets lie on t
 
 @dataclass(frozen=True)
 class CoverageTarget:
-    """What a scene's positions are compared with."""
+    """Reference set and archive that a scene's positions are compared with."""
 
     reference: ReferenceSet | None = None
     """Never empty; None: there is nothing to compare with."""
     archive: ReleasedArchive | None = None
-    """The released code's archive; None for a hand that it does not have, and for a set of one's own."""
+    """The released code's archive; None for a hand that it lacks, and for a set of one's own."""
     stand_in: bool = False
-    """Whether the scene's object only stands in for the scan that the set was made with."""
+    """True if the scene's object only stands in for the scan that the set was made with."""
     why: str = ""
-    """Why there is no set, in words."""
+    """Reason why there is no set, in words."""
 
     @property
     def size(self) -> int:
-        """How many entries the set has; 0 without one."""
+        """Number of entries of the set; 0 without one."""
         return 0 if self.reference is None else len(self.reference)
 
 
 class ReferenceLookup:
     """Finds the target of each scene.
 
-    Parameters
-    ----------
-    files
-        Reference sets that are looked at before the published ones on the asset path. A file that does not
-        say which hand it is for says it by its name, `S_G_<hand>.npz`.
+    Sets in `files` come before the published ones on the asset path. A file that does not say which hand it
+    is for says it by its name, `S_G_<hand>.npz`.
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
@@ -294,28 +265,22 @@ class ReferenceLookup:
                 if hers and (known.object == name or (origin is not None and origin.identity == body)):
                     yield known
         published = on_asset_path(PUBLISHED_SETS.format(hand=hand))
-        if published is not None:
-            yield from _sets_named(name, _read_published(published).values())
+        if published is not None and name in (sets := _read_published(published)):
+            yield sets[name]
 
 
-def _sets_named(name: str, sets: Iterable[ReferenceSet]) -> Iterator[ReferenceSet]:
-    return (known for known in sets if known.object == name)
-
-
-@cache
-def _read_published(path: Path) -> dict[str, ReferenceSet]:
-    return read_references(path)
+_read_published = cache(read_references)
 
 
 class Coverage(Struct, frozen=True, kw_only=True):
-    """What was found of a reference set. Ratios are None where their denominator is 0."""
+    """Coverage of a reference set; a ratio with denominator 0 is None."""
 
     coverage: float | None
     """`found` over `size`, 0 to 1."""
     robust: float | None
     """`robust_found` over `robust_size`, 0 to 1."""
     released: float | None
-    """`released_found` over `size`: the figure of the authors' code, which counts elites, not positions."""
+    """`released_found` over `size`: the authors' code counts elites, not positions."""
     released_robust: float | None
     """Elites of fitness 2 whose position is in the set, over `robust_size`; may exceed 1."""
     size: int
@@ -329,7 +294,7 @@ class Coverage(Struct, frozen=True, kw_only=True):
     robust_found: int
     """Those in which a success of fitness 2 was found."""
     released_found: int | None
-    """Elites of the released code's archive whose position is in the set; None for a foreign hand or set."""
+    """Elites of the released code's archive in the set; None for a foreign hand or set."""
     sentence: str = ""
     """The result in words."""
 
@@ -340,25 +305,21 @@ def coverage(
     reference: ReferenceSet,
     archive: ReleasedArchive | None = None,
 ) -> Coverage:
-    """Compare a run's successes with a reference set.
+    """Compare a run's successes with the reference set of the same object.
 
-    Parameters
-    ----------
-    positions
-        (n, 3) [m]: the hand at each success, CoM frame, in journal order.
-    fitness
-        (n,): shakes survived by each.
-    reference
-        The set of the same object.
-    archive
-        The released code's archive for this scene; None leaves its figures out, and so does a set of one's
-        own, which that code never had.
+    `positions` (n, 3) [m] of the hand, CoM frame, and `fitness` (n,) are in journal order. Without the
+    released code's archive for this scene, its figures are left out, and so they are for a set of one's own,
+    which that code never had.
     """
     reached, robust = cells(positions), reference.robust
     distinct = np.unique(reached, axis=0)
     found = _common_cells(distinct, reference)
     robust_found = _common_cells(np.unique(reached[fitness == ROBUST], axis=0), robust)
-    elites, robust_elites = _released_counts(reached, positions, fitness, reference, archive)
+    elites = robust_elites = None
+    if archive is not None and reference.origin is None:
+        kept = archive.elites(positions, fitness)
+        elites = _common_cells(reached[kept], reference)
+        robust_elites = _common_cells(reached[kept[fitness[kept] == ROBUST]], reference)
     result = Coverage(
         coverage=_ratio(found, len(reference)),
         robust=_ratio(robust_found, len(robust)),
@@ -374,23 +335,8 @@ def coverage(
     return msgspec.structs.replace(result, sentence=_sentence(result, reference.object))
 
 
-def _released_counts(
-    reached: NDArray[np.int64],
-    positions: NDArray[np.floating],
-    fitness: NDArray[np.number],
-    reference: ReferenceSet,
-    archive: ReleasedArchive | None,
-) -> tuple[int | None, int | None]:
-    """Elites in the set, and those of them with fitness 2."""
-    if archive is None or reference.origin is not None:
-        return None, None
-    elites = archive.elites(positions, fitness)
-    robust = elites[fitness[elites] == ROBUST]
-    return _common_cells(reached[elites], reference), _common_cells(reached[robust], reference)
-
-
 def _common_cells(positions: NDArray[np.int64], reference: ReferenceSet) -> int:
-    """How many of `positions` (n, 3) are cells of the set; repeated ones count repeatedly."""
+    """Count the `positions` (n, 3) that are cells of the set; repeated ones count repeatedly."""
     return int(np.isin(cell_keys(positions), cell_keys(reference.cells)).sum())
 
 
@@ -401,24 +347,17 @@ def _ratio(found: int | None, size: int) -> float | None:
 def _sentence(result: Coverage, name: str) -> str:
     if result.coverage is None:
         return f"The reference set of '{name}' is empty, so that there is no coverage of it."
-    return (
+    words = (
         f"{result.found} of the {result.size} cells of '{name}' were found ({result.coverage:.2%}), "
         f"and {counted(result.outside, 'cell that is', 'cells that are')} not in the set."
-        f"{_robust(result)}{_as_released(result)}"
     )
-
-
-def _robust(result: Coverage) -> str:
-    if result.robust is None:
-        return ""
-    found = f"{result.robust_found} of the {result.robust_size} that have it in the set"
-    return f" With fitness 2 were found {found} ({result.robust:.2%})."
-
-
-def _as_released(result: Coverage) -> str:
-    if result.released is None:
-        return ""
-    return f" The released code counts {result.released_found} of the {result.size} ({result.released:.2%})."
+    if result.robust is not None:
+        found = f"{result.robust_found} of the {result.robust_size} that have it in the set"
+        words += f" With fitness 2 were found {found} ({result.robust:.2%})."
+    if result.released is not None:
+        found = f"{result.released_found} of the {result.size}"
+        words += f" The released code counts {found} ({result.released:.2%})."
+    return words
 
 
 def object_identity(body: SceneObject) -> str:

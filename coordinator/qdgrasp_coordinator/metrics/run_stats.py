@@ -5,7 +5,7 @@ counts.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, Protocol
+from typing import Annotated, Self
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -22,81 +22,98 @@ from qdgrasp_protocol.text import counted
 CURVE_POINTS = 512  # The most points of a curve
 
 
-class CurveCounts(Protocol):
-    """The counts that a curve is made of."""
-
-    @property
-    def evaluations(self) -> int:
-        """Counted evaluations."""
-
-    @property
-    def proposals(self) -> int:
-        """Poses that decoding screened."""
-
-    @property
-    def successes(self) -> int:
-        """Nominal successes."""
-
-    @property
-    def cells(self) -> int:
-        """Distinct 1 cm cells with a success."""
-
-    @property
-    def robust(self) -> int:
-        """Successes that survived both shakes."""
+def described(words: str) -> Meta:
+    """Return the description of a published field."""
+    return Meta(description=words)
 
 
 class CurvePoint(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
-    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
-    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
-    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
-    cells: Annotated[int, Meta(description="Distinct 1 cm cells with a success.")]
-    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
+    evaluations: Annotated[int, described("Counted evaluations.")]
+    proposals: Annotated[int, described("Poses that decoding screened, simulated or not.")]
+    successes: Annotated[int, described("A finger touches the object after closing.")]
+    cells: Annotated[int, described("Distinct 1 cm cells with a success.")]
+    robust: Annotated[int, described("Successes that survived both shakes: fitness 2.")]
 
 
 class GrowthCurve(Struct, frozen=True, kw_only=True):
     """Growth of a run's counts. JSON, the answer to a query on `stat/curve/<run>`."""
 
-    run: Annotated[str, Meta(description="Its name in its job.")]
+    run: Annotated[str, described("Its name in its job.")]
     points: Annotated[
         list[CurvePoint],
-        Meta(
-            description="At most 512, at evenly spaced generations: "
-            "evaluations, proposals, successes, cells, robust."
+        described(
+            "At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust."
         ),
     ]
 
 
 class CurveRecorder:
-    """Notes the counts of a run generation by generation, and thins them by halves.
+    """Keeps the counts of a run generation by generation, and thins them by halves.
 
     A function of the rows alone: a run that was replayed has the same curve.
     """
 
     def __init__(self) -> None:
-        self._points: list[CurvePoint] = []
+        self.points: list[CurvePoint] = []
         self._step = 1
         self._generations = 0
 
-    def note(self, counts: CurveCounts) -> None:
-        """Note the counts at the end of the next generation."""
+    def record(self, point: CurvePoint) -> None:
+        """Record the counts at the end of the next generation."""
         self._generations += 1
-        if self._generations % self._step:
-            return
-        if len(self._points) == CURVE_POINTS:
-            self._points = self._points[1::2]
+        if self._generations % self._step == 0 and len(self.points) == CURVE_POINTS:
+            self.points = self.points[1::2]
             self._step *= 2
-            if self._generations % self._step:
-                return
-        self._points.append(
-            CurvePoint(counts.evaluations, counts.proposals, counts.successes, counts.cells, counts.robust)
+        if self._generations % self._step == 0:
+            self.points.append(point)
+
+
+class RunTotals(Struct, frozen=True, kw_only=True):
+    """Counts of a run or, summed, of a job; the first part of all structs that show them."""
+
+    evaluations: Annotated[int, described("Counted evaluations.")]
+    simulated: Annotated[int, described("Genomes whose hand closed.")]
+    proposals: Annotated[int, described("Poses that decoding screened, simulated or not.")]
+    overlaps: Annotated[
+        int,
+        described(
+            "Genomes whose open hand overlapped the object; where a genome has candidates, all of them."
+        ),
+    ]
+    dead_ends: Annotated[int, described("Genomes for which there was no pose, or none worth a simulation.")]
+    successes: Annotated[int, described("A finger touches the object after closing.")]
+    grasps: Annotated[int, described("Successes that survived a shake: fitness 1 or more.")]
+    robust: Annotated[int, described("Successes that survived both shakes: fitness 2.")]
+    errors: Annotated[int, described("Rows on which the simulator failed three times, trials included.")]
+    cells: Annotated[int, described("Distinct 1 cm cells with a success; of a job their sum over its runs.")]
+    trials: Annotated[int, described("Rows that are trials of successes; 0 where no protocol has them.")]
+
+    @property
+    def found(self) -> str:
+        """Number of successes and of cells, in words."""
+        return f"{counted(self.successes, 'success', 'successes')} in {counted(self.cells, 'cell')}"
+
+    @property
+    def screened(self) -> str:
+        """The other counting, beside evaluations, in words: how much was screened for them."""
+        return (
+            f"{self.simulated} simulated of {counted(self.proposals, 'proposal')}, "
+            f"{counted(self.overlaps, 'overlap')}, {counted(self.dead_ends, 'dead end')}"
         )
 
-    def curve(self, run: str) -> GrowthCurve:
-        """The curve so far of the run of that name."""
-        return GrowthCurve(run=run, points=list(self._points))
+    @property
+    def totals(self) -> "RunTotals":
+        """These counts alone, without those that a derived struct adds."""
+        return RunTotals(**{name: getattr(self, name) for name in TOTAL_NAMES})
+
+    def __add__(self, other: "RunTotals") -> "RunTotals":
+        return RunTotals(**{name: getattr(self, name) + getattr(other, name) for name in TOTAL_NAMES})
+
+
+TOTAL_NAMES = RunTotals.__struct_fields__  # Names of all counts that are added up
+NO_TOTALS = RunTotals(**dict.fromkeys(TOTAL_NAMES, 0))
 
 
 BARREN = 20  # Generations in a row that counted nothing after which a run may end (`BARREN_GENOMES`)
@@ -123,23 +140,14 @@ def success_mask(rows: Rows) -> NDArray[np.bool_]:
 
 def successes(rows: Rows) -> Rows:
     """The nominal successes among rows, in their order."""
-    found: Rows = rows[success_mask(rows)]
-    return found
+    return rows[success_mask(rows)]
 
 
 class RunCounter:
-    """Sums over the rows of a journal in its order; outcomes are those of nominal rows.
+    """Counts the rows of a journal in its order; outcomes are those of nominal rows.
 
-    Parameters
-    ----------
-    budget
-        Counted evaluations after which the run is over.
-    overlaps
-        Whether overlaps count as evaluations.
-    trials
-        How many trials each success has.
-    goals
-        What ends the run before its budget is spent.
+    The run is over after `budget` counted evaluations, or when a goal is reached; each success has `trials`
+    trials; `overlaps` says whether overlaps count as evaluations.
     """
 
     rows: int = 0
@@ -167,9 +175,23 @@ class RunCounter:
         self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
         self._goals = goals
-        self._pursuit = StopTracker(goals, self._cells)
+        self._tracker = StopTracker(goals, self._cells)
+        self._curve = CurveRecorder()
         self.finished = self._ending()
         """Reason why the run is over, in words; None while it is not."""
+
+    @classmethod
+    def of(cls, spec: RunSpec) -> Self:
+        """Return the counter of a run that has no rows yet."""
+        return cls(spec.evaluations, spec.overlaps, trial_count(spec.protocol), StopCriteria.of(spec))
+
+    def count_block(self, block: Rows, population: int) -> None:
+        """Count the next rows of a journal, and record where each generation of this size ends."""
+        for number in np.unique(block["generation"]):
+            rows = block[block["generation"] == number]
+            self.count(rows)
+            if ((rows["index"] == population - 1) & (rows["trial"] == 0)).any():
+                self.end_generation()
 
     def count(self, rows: Rows) -> None:
         """Count the next rows."""
@@ -185,7 +207,7 @@ class RunCounter:
 
     def _count_nominal(self, rows: Rows) -> None:
         if self._goals != BUDGET_ALONE:
-            self._pursuit.count(rows, evaluation_mask(rows, self._overlaps))
+            self._tracker.count(rows, evaluation_mask(rows, self._overlaps))
         outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
         self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
         self.evaluations += len(rows) if self._overlaps == "count" else sum(outcomes[Outcome.MISSED :])
@@ -196,12 +218,24 @@ class RunCounter:
             self._last = rows[-1]
 
     def end_generation(self) -> None:
-        """Note that the rows counted so far end a generation."""
+        """Record that the rows counted so far end a generation."""
         self._nominal = self.rows - self.trials
         self._barren += 1
         if self.evaluations > self._before:
             self._barren, self._before, self._fruitful = 0, self.evaluations, self._nominal
         self.finished = self._ending()
+        self._curve.record(
+            CurvePoint(self.evaluations, self.proposals, self.successes, self.cells, self.robust)
+        )
+
+    def curve(self, run: str) -> GrowthCurve:
+        """Return the growth of the counts so far, of the run of that name."""
+        return GrowthCurve(run=run, points=list(self._curve.points))
+
+    @property
+    def totals(self) -> RunTotals:
+        """The counts that are published."""
+        return RunTotals(**{name: getattr(self, name) for name in TOTAL_NAMES})
 
     @property
     def left(self) -> int:
@@ -213,10 +247,10 @@ class RunCounter:
         """True if the budget or a goal is reached: only trials may follow."""
         return self.left <= 0 or self._goal is not None
 
-    def until_reached(self, rows: Rows) -> int:
-        """Count the next rows, nominal ones or trials, up to the one that ends the run.
+    def rows_until_stop(self, rows: Rows) -> int:
+        """Return how many of the next rows, nominal ones or trials, belong to the run.
 
-        All, where it goes on behind them, or where it is reached and what follows are trials.
+        All, if it goes on behind them, or if it is reached and these are trials.
         """
         if self.is_reached or not len(rows) or rows["trial"][0] > 0:
             return len(rows)
@@ -225,27 +259,20 @@ class RunCounter:
             ends.append(count_to_first(np.cumsum(evaluation_mask(rows, self._overlaps)) >= self.left))
         if self._goals != BUDGET_ALONE:
             ends.append(
-                self._pursuit.until_reached(rows, evaluation_mask(rows, self._overlaps), self.successes)
+                self._tracker.rows_until_stop(rows, evaluation_mask(rows, self._overlaps), self.successes)
             )
         return min(ends)
 
     @property
     def _goal(self) -> str | None:
-        return self._pursuit.reached(self.successes)
+        return self._tracker.reached(self.successes)
 
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the rows counted begin a journal of `spec`, which may have another budget.
 
-        Parameters
-        ----------
-        where
-            What the budget is called in an error.
-
-        Raises
-        ------
-        ImpossibleValue
-            The rows go on behind that budget or a goal, or they end a generation early for the sake of other
-            ones: what follows then are trials, where a greater budget has nominal rows first.
+        Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on behind that budget or a
+        goal, or if they end a generation early for the sake of other ones: what follows then are trials,
+        where a greater budget has nominal rows first.
         """
         if self._last is None:
             return
@@ -253,16 +280,16 @@ class RunCounter:
         least = self.evaluations + (not is_counted)
         if spec.evaluations < least:
             raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
-        self._pursuit.check(self.successes, bool(self._last["outcome"] >= Outcome.DROPPED))
+        self._tracker.check(self.successes, bool(self._last["outcome"] >= Outcome.DROPPED))
         is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
         if is_cut and spec.evaluations > least and self._goal is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"
             raise ImpossibleValue(where, spec.evaluations, expected)
 
     def _ending(self) -> str | None:
-        if self.left <= 0 and not self._owed:
+        if self.left <= 0 and not self._missing_trials:
             return f"the budget of {self.budget} evaluations is spent"
-        if self._goal is not None and not self._owed:
+        if self._goal is not None and not self._missing_trials:
             return self._goal
         genomes = self._nominal - self._fruitful
         if self._barren >= BARREN and genomes >= BARREN_GENOMES:
@@ -270,7 +297,7 @@ class RunCounter:
         return None
 
     @property
-    def _owed(self) -> int:
+    def _missing_trials(self) -> int:
         """Trials of the successes so far that have not been counted yet."""
         return self._trials * self.successes - self.trials
 
@@ -318,80 +345,9 @@ class RunCounter:
         return self._from(Outcome.HELD)
 
 
-class RunTotals(Struct, frozen=True, kw_only=True):
-    """Counts of a run or, summed, of a job; the first part of all structs that show them."""
-
-    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
-    simulated: Annotated[int, Meta(description="Genomes whose hand closed.")]
-    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
-    overlaps: Annotated[
-        int,
-        Meta(
-            description="Genomes whose open hand overlapped the object; "
-            "where a genome has candidates, all of them."
-        ),
-    ]
-    dead_ends: Annotated[
-        int, Meta(description="Genomes for which there was no pose, or none worth a simulation.")
-    ]
-    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
-    grasps: Annotated[int, Meta(description="Successes that survived a shake: fitness 1 or more.")]
-    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
-    errors: Annotated[
-        int, Meta(description="Rows on which the simulator failed three times, trials included.")
-    ]
-    cells: Annotated[
-        int, Meta(description="Distinct 1 cm cells with a success; of a job their sum over its runs.")
-    ]
-    trials: Annotated[
-        int, Meta(description="Rows that are trials of successes; 0 where no protocol has them.")
-    ]
-
-    @property
-    def found(self) -> str:
-        """Number of successes and of cells, in words."""
-        return f"{counted(self.successes, 'success', 'successes')} in {counted(self.cells, 'cell')}"
-
-    @property
-    def screened(self) -> str:
-        """The other counting, beside evaluations, in words: how much was screened for them."""
-        return (
-            f"{self.simulated} simulated of {counted(self.proposals, 'proposal')}, "
-            f"{counted(self.overlaps, 'overlap')}, {counted(self.dead_ends, 'dead end')}"
-        )
-
-    def __add__(self, other: "RunTotals") -> "RunTotals":
-        return RunTotals(**{name: getattr(self, name) + getattr(other, name) for name in TOTAL_NAMES})
-
-
-TOTAL_NAMES = RunTotals.__struct_fields__  # Names of all counts that are added up
-NO_TOTALS = RunTotals(**dict.fromkeys(TOTAL_NAMES, 0))
-
-
-def run_totals(found: RunCounter | RunTotals) -> RunTotals:
-    """Return the totals of one run."""
-    return RunTotals(**{name: getattr(found, name) for name in TOTAL_NAMES})
-
-
-def count_rows(spec: RunSpec, blocks: Iterable[Rows], trail: CurveRecorder | None = None) -> RunCounter:
-    """Return the tally of a journal, in its order, in blocks of any length; `trail` notes it."""
-    total = new_counter(spec)
+def count_rows(spec: RunSpec, blocks: Iterable[Rows]) -> RunCounter:
+    """Return the counter of a journal's rows, in their order, in blocks of any length."""
+    counter = RunCounter.of(spec)
     for block in blocks:
-        count_block(total, spec, block, trail)
-    return total
-
-
-def new_counter(spec: RunSpec) -> RunCounter:
-    """The tally of a journal that has no rows yet."""
-    return RunCounter(spec.evaluations, spec.overlaps, trial_count(spec.protocol), StopCriteria.of(spec))
-
-
-def count_block(total: RunCounter, spec: RunSpec, block: Rows, trail: CurveRecorder | None = None) -> None:
-    """Count the next rows of a journal, and note where each generation ends."""
-    for number in np.unique(block["generation"]):
-        rows = block[block["generation"] == number]
-        total.count(rows)
-        if ((rows["index"] == spec.population - 1) & (rows["trial"] == 0)).any():
-            total.end_generation()
-            if trail is not None:
-                trail.note(total)
+        counter.count_block(block, spec.population)
+    return counter

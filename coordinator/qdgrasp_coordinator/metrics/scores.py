@@ -19,12 +19,9 @@ ROBUST = Outcome.HELD - Outcome.DROPPED  # The nominal fitness of what is held: 
 
 
 class TrialSums:
-    """Gathers the trials of each success while the blocks of a journal pass in order.
+    """Sums up the trials of each success while the blocks of a journal pass in order.
 
-    Parameters
-    ----------
-    trials
-        How many trials a success has; 0: the protocol has none.
+    Each success has `trials` trials; 0: the protocol has no trials.
     """
 
     def __init__(self, trials: int) -> None:
@@ -80,9 +77,12 @@ def known_scores(rows: Rows, trials: int) -> NDArray[np.float64]:
     """
     found, first = np.flatnonzero(success_mask(rows)), np.flatnonzero(rows["trial"] == 1)
     first = first[first + trials <= len(rows)]
-    whose, their = _places(rows, found, first)
-    order = np.argsort(their)
-    place = np.searchsorted(their[order], whose)
+    # The trials of a success follow it in one piece. One number per row, ascending by genome and then by
+    # place, finds the next first trial behind each success, which may be of another genome.
+    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
+    of_found, of_first = genomes[found] * len(rows) + found, genomes[first] * len(rows) + first
+    order = np.argsort(of_first)
+    place = np.searchsorted(of_first[order], of_found)
     scores = np.full(len(found), np.nan)
     here = np.flatnonzero(place < len(first))
     begins = first[order][place[here]]
@@ -97,12 +97,6 @@ def eta(fitness: NDArray[np.number], trials: int) -> NDArray[np.float64]:
     return fitness.astype(np.float64) / (SHAKES * trials)
 
 
-def _places(rows: Rows, *places: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """One number for each of some rows, ascending by genome, then by place."""
-    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
-    return [genomes[each] * len(rows) + each for each in places]
-
-
 def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
     """One number for the genome of each row, ascending in the journal of one run: (n,)."""
     numbers: NDArray[np.uint64] = (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
@@ -112,13 +106,9 @@ def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
 def best_first(rows: Rows, scores: NDArray[np.floating] | None = None) -> NDArray[np.int64]:
     """The places (n,) of nominal rows, best first.
 
-    One row is better than another with a greater score; of equals with a greater fitness; of equals with less
-    penetration; of equals with more contacts; of equals the earlier one in the journal.
-
-    Parameters
-    ----------
-    scores
-        (n,), NaN where a score is not known, which is worse than any; None: there are none.
+    One row is better than another with a greater score (n,); of equals with a greater fitness; of equals with
+    less penetration; of equals with more contacts; of equals the earlier one in the journal. A score that is
+    not known is NaN, which is worse than any.
     """
     known = np.zeros(len(rows)) if scores is None else np.nan_to_num(scores, nan=-1.0)
     return np.lexsort(

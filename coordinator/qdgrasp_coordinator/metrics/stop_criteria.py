@@ -34,13 +34,7 @@ class StopCriteria:
 
 
 class StopTracker:
-    """Progress of a run towards its goals.
-
-    Parameters
-    ----------
-    cells
-        The keys of the cells with a success so far, which others add to.
-    """
+    """Progress of a run towards its goals; `cells` are the keys of cells with a success so far."""
 
     def __init__(self, goals: StopCriteria, cells: set[int]) -> None:
         self._goals = goals
@@ -62,7 +56,7 @@ class StopTracker:
             return f"the last {self._goals.no_new_cell} evaluations found no new cell"
         return None
 
-    def until_reached(self, rows: Rows, is_counted: Flags, successes: int) -> int:
+    def rows_until_stop(self, rows: Rows, is_counted: Flags, successes: int) -> int:
         """Count the next nominal rows (n,) up to the first that reaches a goal; else all."""
         ends = [len(rows)]
         if self._goals.successes is not None:
@@ -73,17 +67,9 @@ class StopTracker:
         return min(ends)
 
     def check(self, successes: int, is_last: bool) -> None:
-        """Check that no goal was reached before the last row that was counted.
+        """Raise `ImpossibleValue` if a goal was reached before the last row that was counted.
 
-        Parameters
-        ----------
-        is_last
-            Whether that row is a success.
-
-        Raises
-        ------
-        ImpossibleValue
-            One was.
+        `is_last` says whether that row is a success.
         """
         least = successes + (not is_last)
         if self._goals.successes is not None and self._goals.successes < least:
@@ -99,8 +85,7 @@ class StopTracker:
         """Counted evaluations since the last new cell at each row: (n,)."""
         done = np.cumsum(is_counted)
         fresh = np.where(self._is_new(rows), done, -self._stale)
-        since: NDArray[np.int64] = done - np.maximum.accumulate(fresh)
-        return since
+        return done - np.maximum.accumulate(fresh)
 
     def _is_new(self, rows: Rows) -> Flags:
         """Flag the rows that reach a new cell: (n,)."""

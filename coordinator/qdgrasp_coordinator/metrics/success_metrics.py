@@ -1,4 +1,4 @@
-"""What successes are worth: fitness, growth, nu, eta, QD score and diversity, from rows.
+"""Figures of successes: fitness, growth, nu, eta, QD score and diversity, from rows.
 
 Diversity counts different grasps, told apart by position, orientation and synergy. A series or history says
 after how many counted evaluations each success was found.
@@ -42,13 +42,13 @@ class StepSeries:
     """(n,): what it is from there on."""
 
     def after(self, evaluations: ArrayLike) -> NDArray[np.int64]:
-        """What it is after so many counted evaluations."""
+        """Return its values after so many counted evaluations."""
         place = np.searchsorted(self.evaluations, evaluations, side="right")
         return np.append(0, self.totals)[place]
 
     @property
     def end(self) -> int:
-        """What it is in the end."""
+        """The last value."""
         return int(self.totals[-1]) if len(self.totals) else 0
 
 
@@ -83,7 +83,7 @@ def archive_growth(rows: Rows, overlaps: Overlaps = "count") -> ArchiveGrowth:
 
 
 def first_occurrences(keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Where each number (n,) occurs for the first time: (n,)."""
+    """Flag the first occurrence of each number (n,): (n,)."""
     first = np.zeros(len(keys), dtype=bool)
     first[np.unique(keys, return_index=True)[1]] = True
     return first
@@ -135,7 +135,7 @@ class SuccessHistory:
         return step_series(self.evaluations[chosen], new)
 
     def published(self, reference: ReferenceSet, archive: ReleasedArchive) -> StepSeries:
-        """Elites of the released code's archive that are in a set: each counts, and may be displaced."""
+        """Elites of the released code's archive in a set: each counts, and may be displaced."""
         positions = self.rows["base_to_object"][:, :3]
         shared = np.isin(cell_keys(cells(positions)), cell_keys(reference.cells))
         gains = _gains(archive.keys(positions), self.rows["fitness"], shared.astype(np.int64))
@@ -153,7 +153,10 @@ def join_histories(found: Iterable[SuccessHistory], none: Rows) -> SuccessHistor
 def _gains(
     cell: NDArray[np.int64], fitness: NDArray[np.number], worth: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """What each comer (n,) adds to the worth of all elites: its own, less that of the elite it displaces."""
+    """Return what each success (n,) adds to the worth of all elites: (n,).
+
+    Its own worth, less that of the elite that it displaces; 0 if it does not become an elite.
+    """
     order = np.argsort(cell, kind="stable")
     place = np.unique(cell[order], return_inverse=True)[1]
     above = np.float64(1.0 + np.max(fitness, initial=0))
@@ -171,7 +174,7 @@ NEAR_NU = math.pi / 4  # The approach prior's nu_a (Huber et al. 2024, section I
 
 
 class NuSummary(Struct, frozen=True, kw_only=True):
-    """How successes lean from the surface normal: their nu (Huber et al. 2024, eq. 1)."""
+    """Lean of successes from the surface normal: their nu (Huber et al. 2024, eq. 1)."""
 
     bins: tuple[int, ...]
     """Successes in each of 18 equal bins from 0 to pi; the last one includes pi."""
@@ -185,7 +188,7 @@ class NuSummary(Struct, frozen=True, kw_only=True):
 
 
 class EtaSummary(Struct, frozen=True, kw_only=True):
-    """How likely successes are to transfer: their eta (Huber et al. 2024, section IV), 0 to 1 each."""
+    """Estimated probability, 0 to 1, that successes transfer (Huber et al. 2024, section IV)."""
 
     successes: int
     """Those whose trials are all recorded; the other figures are of these, and None without one."""
@@ -203,13 +206,7 @@ class EtaSummary(Struct, frozen=True, kw_only=True):
 
 
 class SuccessMetrics:
-    """Sums over the successes of a journal, in any order; with trials in the journal's.
-
-    Parameters
-    ----------
-    trials
-        How many trials a success has.
-    """
+    """Sums over the successes of a journal, in any order; with `trials` each, in its order."""
 
     successes: int = 0
 
@@ -225,10 +222,15 @@ class SuccessMetrics:
         """Count the next rows."""
         found = successes(rows)
         self.successes += len(found)
-        self._count_nu(found["nu"][found["surface_point"].any(axis=1)])
+        nu = found["nu"][found["surface_point"].any(axis=1)].astype(np.float64)
+        angles = np.clip(nu, 0.0, math.pi)  # pi in float32 is more than pi
+        self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
+        self._near += int(np.count_nonzero(angles < NEAR_NU))
         scored = self._scores.take(rows)
         self._scored += np.bincount(scored["fitness"].astype(np.int64), minlength=len(self._scored))
-        self._count_cells(scored)
+        reached = cell_keys(cells(scored["descriptor"][:, :3]))
+        for cell, fitness in zip(reached.tolist(), scored["fitness"].tolist(), strict=True):
+            self._best[cell] = max(fitness, self._best.get(cell, 0.0))
 
     def counting(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
         """The same blocks, each counted as it passes."""
@@ -248,7 +250,7 @@ class SuccessMetrics:
 
     @property
     def eta(self) -> EtaSummary | None:
-        """How likely the successes are to transfer; None where the protocol has no trials."""
+        """Eta of the successes; None for a protocol without trials."""
         if not self._trials:
             return None
         etas = eta(np.arange(len(self._scored)), self._trials)
@@ -261,7 +263,7 @@ class SuccessMetrics:
 
     @property
     def nu(self) -> NuSummary:
-        """How the successes that aim at a surface point lean."""
+        """Nu of the successes that aim at a surface point."""
         aimed = int(self._bins.sum())
         return NuSummary(
             bins=tuple(self._bins.tolist()), below_quarter_pi=self._near / aimed if aimed else None
@@ -272,19 +274,9 @@ class SuccessMetrics:
         total = int(self._scored.sum())
         return float(self._scored @ values) / total if total else None
 
-    def _count_cells(self, found: Rows) -> None:
-        reached = cell_keys(cells(found["descriptor"][:, :3]))
-        for cell, fitness in zip(reached.tolist(), found["fitness"].tolist(), strict=True):
-            self._best[cell] = max(fitness, self._best.get(cell, 0.0))
-
-    def _count_nu(self, nu: NDArray[np.float32]) -> None:
-        angles = np.clip(nu.astype(np.float64), 0.0, math.pi)  # pi in float32 is more than pi
-        self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
-        self._near += int(np.count_nonzero(angles < NEAR_NU))
-
 
 class Diversity(Struct, frozen=True, kw_only=True):
-    """Occupied niches, and how many of them share a cell. Means are None without a success."""
+    """Occupied niches, and their number in a cell. Without a success, a mean is None."""
 
     niches: int
     """Those with a success."""

@@ -12,7 +12,7 @@ import msgspec
 
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_coordinator.metrics.job_status import RunListing, RunListings
-from qdgrasp_coordinator.metrics.run_stats import CurveRecorder, GrowthCurve, count_rows
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
 from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage import atomic_files, success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -262,11 +262,9 @@ class FolderRecords:
 
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Counted from the journal as it is now."""
-        folder, trail = self._collection.run(job, run), CurveRecorder()
+        folder = self._collection.run(job, run)
         with folder.journal() as journal:
-            if not journal.sources:
-                count_rows(folder.spec, journal.blocks(), trail)
-        return trail.curve(run)
+            return count_rows(folder.spec, () if journal.sources else journal.blocks()).curve(run)
 
     def place(self, job: str, run: str) -> RunLocation:
         """Its folder, here."""

@@ -9,35 +9,28 @@ import socket
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 import msgspec
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from qdgrasp_coordinator.campaign.summary import RunSummary
 from qdgrasp_coordinator.metrics.job_status import RUNS_PER_PAGE, RunListing, RunListings, from_json, to_json
-from qdgrasp_coordinator.metrics.run_stats import (
-    CurveRecorder,
-    GrowthCurve,
-    RunCounter,
-    count_block,
-    new_counter,
-)
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
 from qdgrasp_coordinator.report.row_report import RowContextCache
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import FILE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_to_message, success_page
+from qdgrasp_coordinator.storage.success_pages import page_to_message, success_page
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus, Query
 from qdgrasp_protocol.errors import FolderError, Refused
 from qdgrasp_protocol.keys import NAME, Keys, last_chunk, parse_number
-from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 
@@ -52,101 +45,96 @@ class CountedRun:
     """Progress of counting a run."""
 
     spec: RunSpec
+    counter: RunCounter | None
+    """None once the run is over: only the listing is kept, as a counter may hold many cells."""
     rows: int = 0
-    tally: RunCounter | None = None
-    """None once the run is over: only the entry is kept, as a tally may hold many cells."""
-    entry: RunListing | None = None
-    """Entry at the last complete count; None before the first."""
-    trail: CurveRecorder = field(default_factory=CurveRecorder)
-    """Growth of its counts; once the run is over it is in `curve`."""
+    """Number of journal rows that are counted."""
+    listing: RunListing | None = None
+    """Listing at the last complete count; None before the first."""
     curve: bytes = b""
+    """The curve as JSON, once the run is over."""
 
-    def grown(self, run: str) -> GrowthCurve:
+    def curve_of(self, run: str) -> GrowthCurve:
         """Return the curve of the run of that name, as far as it is counted."""
-        return from_json(self.curve, GrowthCurve) if self.curve else self.trail.curve(run)
+        return self.counter.curve(run) if self.counter else from_json(self.curve, GrowthCurve)
+
+    def count(self, journal: Journal, most: int) -> int:
+        """Count at most so many new rows; returns their number."""
+        if self.counter is None or (self.rows == journal.count and self.listing is not None):
+            return 0
+        first, self.rows = self.rows, min(journal.count, self.rows + most)
+        if first < self.rows:
+            for block in journal.kept(first, self.rows):
+                self.counter.count_block(block, self.spec.population)
+        if self.rows == journal.count:
+            self.listing = RunListing.of(journal.run, self.spec, journal.scene, self.counter)
+            if self.counter.finished is not None:
+                self.curve, self.counter = to_json(self.counter.curve(journal.run)), None
+        return self.rows - first
 
 
 class RunIndex:
-    """Counts the runs of a job; reads only rows new since the last answer, writes nothing.
-
-    Parameters
-    ----------
-    path
-        The job's folder, or where it is to be.
-    """
+    """Counts the runs of a job's folder, there or not; reads only new rows, writes nothing."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._lock = threading.Lock()
         self._counts: dict[Path, CountedRun] = {}
         self._known: dict[Path, tuple[FileStamp, RunListing]] = {}
-        self._left = 0
+        self._rows_left = 0
 
     def one(self, run: str) -> RunListings:
-        """Return a run's entry and curve as far as counted; empty if there is no such run."""
-        path, entries, curve = JobFolder(self._path).run_path(run), list[RunListing | None](), None
+        """Return a run's listing and curve as far as counted; empty if there is no such run."""
+        path, listings, curve = JobFolder(self._path).run_path(run), list[RunListing | None](), None
         with self._lock, suppress(FolderError):
-            self._left = ROWS_PER_ANSWER
-            entries.append(self._entry(path))
-            curve = self._counts[path].grown(run) if path in self._counts else None
-        return replace(_listings(entries), curve=curve)
+            self._rows_left = ROWS_PER_ANSWER
+            listings.append(self._listing(path))
+            curve = self._counts[path].curve_of(run) if path in self._counts else None
+        return replace(_listings(listings), curve=curve)
 
     def page(self, first: int) -> RunListings:
-        """Return the entries from the run with this number on, by name, as far as counted."""
-        paths = JobFolder(self._path).run_paths if JobFolder.is_job(self._path) else []
-        entries: list[RunListing | None] = []
+        """Return the listings from the run with this number on, by name, as far as counted."""
+        paths, behind = _run_paths(self._path), first + RUNS_PER_PAGE
+        listings: list[RunListing | None] = []
         with self._lock:
-            self._left = ROWS_PER_ANSWER
-            for path in paths[first : first + RUNS_PER_PAGE]:
+            self._rows_left = ROWS_PER_ANSWER
+            for path in paths[first:behind]:
                 with suppress(FolderError):  # there may be no journal yet, or no good one
-                    entries.append(self._entry(path))
-        return replace(
-            _listings(entries), next=first + RUNS_PER_PAGE if first + RUNS_PER_PAGE < len(paths) else 0
-        )
+                    listings.append(self._listing(path))
+        return replace(_listings(listings), next=behind if behind < len(paths) else 0)
 
-    def _entry(self, path: Path) -> RunListing | None:
-        """Return a run's entry; a journal unchanged since its count is not opened again."""
+    def _listing(self, path: Path) -> RunListing | None:
+        """Return a run's listing; a journal unchanged since its count is not opened again."""
         stamp, now = journal_stamp(path), time.time()
-        stands, known = self._known.get(path, (None, None))
-        if known is not None and stands == stamp:
+        known_stamp, known = self._known.get(path, (None, None))
+        if known is not None and known_stamp == stamp:
             return known
         with Journal.open(path) as journal:
-            entry = summary_listing(journal) if journal.sources else self._counted(path, journal)
+            listing = summary_listing(journal) if journal.sources else self._counted(path, journal)
             is_whole = path not in self._counts or self._counts[path].rows == journal.count
-        entry = entry and replace(entry, folder=printable(str(path.absolute())))
-        if entry and is_whole and has_rested(stamp, now):
-            self._known[path] = stamp, entry
-        return entry
+        listing = listing and replace(listing, folder=printable(str(path.absolute())))
+        if listing and is_whole and has_rested(stamp, now):
+            self._known[path] = stamp, listing
+        return listing
 
     def _counted(self, path: Path, journal: Journal) -> RunListing | None:
         """Count a run's new rows, up to the limit of one answer."""
-        spec, rows = journal.spec, journal.count
-        count = self._counts.get(path)
-        if count is None or count.spec != spec or count.rows > rows:
-            count = self._counts[path] = CountedRun(spec, tally=new_counter(spec))
-        if count.tally is not None and (count.rows < rows or count.entry is None):
-            self._go_on(count, journal, rows)
-        return count.entry
-
-    def _go_on(self, count: CountedRun, journal: Journal, rows: int) -> None:
-        found, stop = count.tally, min(rows, count.rows + self._left)
-        if found is None:
-            return
-        for block in journal.kept(count.rows, stop) if count.rows < stop else ():
-            count_block(found, count.spec, block, count.trail)
-        self._left -= stop - count.rows
-        count.rows = stop
-        whole = RunListing.of(journal.run, count.spec, journal.scene, found) if stop == rows else None
-        count.entry = whole or count.entry
-        if found.finished is not None and whole is not None:
-            count.tally, count.curve, count.trail = None, to_json(count.grown(journal.run)), CurveRecorder()
+        spec, count = journal.spec, self._counts.get(path)
+        if count is None or count.spec != spec or count.rows > journal.count:
+            count = self._counts[path] = CountedRun(spec, RunCounter.of(spec))
+        self._rows_left -= count.count(journal, self._rows_left)
+        return count.listing
 
 
-def _listings(entries: Sequence[RunListing | None]) -> RunListings:
-    """Make an answer of these entries; None stands for one not counted yet."""
+def _run_paths(job: Path) -> list[Path]:
+    return JobFolder(job).run_paths if JobFolder.is_job(job) else []
+
+
+def _listings(listings: Sequence[RunListing | None]) -> RunListings:
+    """Make an answer of these listings; None stands for one not counted yet."""
     return RunListings(
-        runs=[entry for entry in entries if entry is not None],
-        uncounted=entries.count(None),
+        runs=[listing for listing in listings if listing is not None],
+        uncounted=listings.count(None),
         host=socket.gethostname(),
     )
 
@@ -167,41 +155,29 @@ def has_rested(stamp: FileStamp, now: float) -> bool:
 
 
 def summary_listing(journal: Journal) -> RunListing:
-    """Return a pruned or merged run's entry, from its summary; outcomes are not known."""
-    summary = msgspec.structs.asdict(msgspec.json.decode(journal.summary, type=RunSummary))
-    known = dict(_shared_fields(summary)) | {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
+    """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
+    summary = asdict(msgspec.json.decode(journal.summary, type=RunSummary))
+    known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
+    known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
     return msgspec.convert(known, RunListing)
-
-
-def _shared_fields(values: dict[str, object]) -> Iterator[tuple[str, object]]:
-    """Those of the values that an entry has too."""
-    for name in RunListing.__struct_fields__:
-        if name in values:
-            yield name, values[name]
 
 
 SCENES_KEPT = 8  # Number of scenes kept in memory
 
 
 class QueryServer:
-    """Answers `rec/runs`, `rec/finds` and `rec/asset` while its context lasts (docs/bus.md).
-
-    Parameters
-    ----------
-    path
-        The job's folder, or where it is to be.
-    """
+    """Answers `rec/runs`, `rec/finds` and `rec/asset` of a job's folder (docs/bus.md)."""
 
     def __init__(self, bus: Bus, job: str, path: Path) -> None:
         self._bus = bus
         self._keys = Keys(job)
         self._path = path
-        self._register = RunIndex(path)
-        self._legends = RowContextCache()
+        self._index = RunIndex(path)
+        self._contexts = RowContextCache()
         self._lock = threading.Lock()
-        self._scenes: OrderedDict[str, bytes] = OrderedDict()  # by digest, as they were asked for
-        self._homes: dict[str, Path] = {}  # where scenes were seen
-        self._doors = ExitStack()
+        self._scenes: OrderedDict[str, bytes] = OrderedDict()  # by digest, in the order of their queries
+        self._homes: dict[str, Path] = {}  # run folders in which scenes were seen
+        self._subscriptions = ExitStack()
 
     def __enter__(self) -> Self:
         for pattern, answer in (
@@ -209,34 +185,22 @@ class QueryServer:
             (self._keys.finds, self.finds),
             (self._keys.recorded_asset(), self.scene),
         ):
-            self._doors.enter_context(self._bus.answer(pattern, answer))
+            self._subscriptions.enter_context(self._bus.answer(pattern, answer))
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._doors.close()
+        self._subscriptions.close()
 
     def entries(self, query: Query) -> bytes:
-        """Return the runs from number `from` on, or the run `run` alone with its curve.
-
-        Raises
-        ------
-        Refused
-            `run` is not a run's name.
-        """
+        """Return the runs from number `from` on, or the run `run` alone with its curve."""
         if run := _parameters(query).get("run"):
             if not NAME.fullmatch(run):
                 raise Refused(f"this recorder has no run '{run[:64]}'")
-            return to_json(self._register.one(run))
-        return to_json(self._register.page(_number(query, "from")))
+            return to_json(self._index.one(run))
+        return to_json(self._index.page(_number(query, "from")))
 
     def finds(self, query: Query) -> bytes:
-        """Successes of the run `run` from journal number `from` on.
-
-        Raises
-        ------
-        Refused
-            There is no such run, or it cannot be read.
-        """
+        """Return successes of the run `run` from journal number `from` on."""
         run = _parameters(query).get("run", "")
         path = JobFolder(self._path).run_path(run)
         if not NAME.fullmatch(run) or not RunFolder.is_run(path):
@@ -244,26 +208,19 @@ class QueryServer:
         try:
             with Journal.open(path) as journal:
                 self._homes[journal.scene] = path
-                legend = self._legends.of(RunFolder(path), journal)
-                return messages.encode(
-                    _page_message(journal, run, *success_page(journal, _number(query, "from"), legend))
-                )
+                context = self._contexts.of(RunFolder(path), journal)
+                page, upto = success_page(journal, _number(query, "from"), context)
+                return messages.encode(page_to_message(page, upto, journal, run))
         except FolderError as error:
             raise Refused(str(error)) from None
 
     def scene(self, query: Query) -> bytes:
-        """One chunk of a scene.
-
-        Raises
-        ------
-        Refused
-            No run here has this scene.
-        """
+        """Return one chunk of a scene."""
         digest = last_chunk(query.key)
         return bundle_transfer.answer_chunk(query, self._bundle(digest), digest)
 
     def _bundle(self, digest: str) -> bytes:
-        """The bytes of a scene; those that were asked for last are kept."""
+        """Return the bytes of a scene; the latest ones are kept in memory."""
         with self._lock:
             payload = self._scenes.pop(digest, None) or self._read(digest)
             self._scenes[digest] = payload
@@ -271,27 +228,16 @@ class QueryServer:
                 self._scenes.popitem(last=False)
             return payload
 
-    def _run_paths(self) -> list[Path]:
-        return JobFolder(self._path).run_paths if JobFolder.is_job(self._path) else []
-
     def _read(self, digest: str) -> bytes:
-        """The bytes of a scene, from the folder of any run that has it."""
+        """Return the bytes of a scene, from the folder of any run that has it."""
         seen = [self._homes[digest]] if digest in self._homes else []
-        for path in seen + self._run_paths():
+        for path in seen + _run_paths(self._path):
             with suppress(FolderError):
                 with Journal.open(path) as journal:
-                    is_its = journal.scene == digest
-                if is_its and (bundle := RunFolder(path).bundle()).digest == digest:
+                    has_scene = journal.scene == digest
+                if has_scene and (bundle := RunFolder(path).bundle()).digest == digest:
                     return bundle.payload
         raise Refused(f"no run here has the scene {digest[:12]}")
-
-
-def _page_message(journal: Journal, run: str, finds: SuccessTable, upto: int) -> SuccessPage:
-    """Pack finds of a journal into a message."""
-    joints, began = journal.shape.joints, journal.created
-    return page_to_message(
-        finds, upto, run=run, scene=journal.scene, began=began, rows=journal.count, joints=joints
-    )
 
 
 def _parameters(query: Query) -> dict[str, str]:
@@ -301,13 +247,7 @@ def _parameters(query: Query) -> dict[str, str]:
 
 
 def _number(query: Query, name: str) -> int:
-    """Return a numeric parameter; 0 where it is missing.
-
-    Raises
-    ------
-    Refused
-        It is not a number.
-    """
+    """Return a numeric parameter; 0 if it is missing."""
     text = _parameters(query).get(name, "0")
     found = parse_number(text)
     if found is None:

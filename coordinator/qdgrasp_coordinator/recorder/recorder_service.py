@@ -1,13 +1,12 @@
 """The recorder on the bus: takes settled rows, commits them, and reports what is durable.
 
 One thread does everything but fetching scenes; callbacks of the bus and the fetcher only fill its inbox.
-What to do with what comes is decided in `Recorder`, and carried out here.
+`Recorder` decides what to do with what comes; it is carried out here.
 """
 
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -18,14 +17,20 @@ from queue import Empty, SimpleQueue
 import structlog
 
 from qdgrasp_coordinator.recorder.queries import QueryServer
-from qdgrasp_coordinator.recorder.recorder import Recorder
-from qdgrasp_coordinator.recorder.run_store import RunStore
+from qdgrasp_coordinator.recorder.recorder import Recorder, open_recorder
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
 from qdgrasp_protocol.errors import BusError, DiskFull, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Recorded
 from qdgrasp_protocol.process import Stop
+
+log = structlog.get_logger()
+
+FETCH_INTERVAL = 1.0  # seconds between two tries to fetch scenes
+ANSWER_TIMEOUT = 10.0  # seconds that a query waits for its answer
+MOST_EVENTS = 256  # events between two checks of what is due
+LONGEST_WAIT = 60.0  # seconds after which what is due is checked in any case
 
 
 @dataclass(frozen=True)
@@ -34,47 +39,6 @@ class FetchedScene:
 
     digest: str
     payload: bytes
-
-
-class SceneFetcher:
-    """Fetches scene bundles, one after the other.
-
-    Parameters
-    ----------
-    tell
-        Takes each of them; called in the fetcher's thread.
-    """
-
-    def __init__(self, bus: Bus, job: str, tell: Callable[[FetchedScene], None]) -> None:
-        self._bus = bus
-        self._job = job
-        self._tell = tell
-        self._thread: threading.Thread | None = None
-
-    def begin(self, digests: Iterable[str]) -> None:
-        """Ask for scenes, unless some are being asked for."""
-        if self._thread is None or not self._thread.is_alive():
-            self._thread = threading.Thread(
-                target=self._fetch, args=(list(digests),), name="fetcher", daemon=True
-            )
-            self._thread.start()
-
-    def _fetch(self, digests: list[str]) -> None:
-        for digest in digests:
-            try:
-                self._tell(FetchedScene(digest, bundle_transfer.fetch_bundle(self._bus, self._job, digest)))
-            except (MessageError, Refused):
-                continue  # the coordinator is not there for this run now
-            except BusError:
-                return  # the next try is soon
-
-
-log = structlog.get_logger()
-
-FETCH_INTERVAL = 1.0  # seconds between two tries to fetch scenes
-ANSWER_TIMEOUT = 10.0  # seconds that a query waits for its turn
-MOST_EVENTS = 256  # events between two looks at what is due
-LONGEST_WAIT = 60.0  # seconds after which there is a look in any case
 
 
 @dataclass(frozen=True)
@@ -90,18 +54,9 @@ RecorderEvent = Sample | PendingQuery | FetchedScene | None
 
 
 class RecorderService:
-    """Records the runs of a job until it is asked to stop.
+    """Records the runs of a job until it is asked to stop; begins its folder if it is missing.
 
-    Parameters
-    ----------
-    bus
-        An open session.
-    job
-        The job's name.
-    path
-        The job's folder; begun where there is none.
-    disk_wait
-        How long a full disk is waited for [s].
+    A full disk is waited for `disk_wait` seconds.
     """
 
     def __init__(self, bus: Bus, stop: Stop, *, job: str, path: Path, disk_wait: float = 60.0) -> None:
@@ -112,23 +67,20 @@ class RecorderService:
         self._path = path
         self._disk_wait = disk_wait
         self._inbox: SimpleQueue[RecorderEvent] = SimpleQueue()
-        self._fetcher = SceneFetcher(bus, job, self._inbox.put)
+        self._fetcher: threading.Thread | None = None
         self._fetch_at = 0.0
 
     def run(self) -> None:
         """Record until asked to stop.
 
-        Raises
-        ------
-        FolderError
-            The folder cannot be used: another job's, in use, or other files are in it.
-        DiskFull
-            The disk was full for too long; nothing is lost that was reported durable.
+        Raises `FolderError` where the folder is another job's, in use, or holds other files, and `DiskFull`
+        where the disk was full for too long; nothing is lost that was reported durable.
         """
         self._stop.tell(lambda: self._inbox.put(None))
         with ExitStack() as stack:
-            self._books = stack.enter_context(RunStore(self._path, self._job))
-            self._scribe = Recorder(self._books, self._job, self._path, self._disk_wait, time.monotonic())
+            recorder = stack.enter_context(
+                open_recorder(self._path, self._job, self._disk_wait, time.monotonic())
+            )
             stack.enter_context(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
             stack.enter_context(self._bus.answer(self._keys.open, self._ask))
             stack.enter_context(self._bus.answer(self._keys.log, self._ask))
@@ -136,76 +88,84 @@ class RecorderService:
             stack.enter_context(self._bus.token(self._keys.recorder_token(secrets.token_hex(8))))
             log.info("recording", job=self._job, folder=str(self._path))
             while not self._stop.is_set:
-                self._step()
-            self._hear(0.0)
-            self._report(self._scribe.close(time.monotonic()))
+                self._step(recorder)
+            self._process(recorder, 0.0)
+            self._report(recorder.close(time.monotonic()))
 
-    def _step(self) -> None:
+    def _step(self, recorder: Recorder) -> None:
         """Process what came, then do what is due."""
         now = time.monotonic()
-        self._hear(max(0.0, min(self._scribe.deadline, self._next_fetch, now + LONGEST_WAIT) - now))
+        due = min(recorder.deadline, self._next_fetch(recorder), now + LONGEST_WAIT)
+        self._process(recorder, max(0.0, due - now))
         now = time.monotonic()
-        self._report(self._scribe.step(now))
-        if now >= self._next_fetch:
-            self._fetch_scenes(now)
+        self._report(recorder.step(now))
+        if now >= self._next_fetch(recorder):
+            self._fetch_at = now + FETCH_INTERVAL
+            self._begin_fetching(recorder.missing_scenes)
 
-    @property
-    def _next_fetch(self) -> float:
-        return self._fetch_at if self._books.missing_scenes else inf
+    def _next_fetch(self, recorder: Recorder) -> float:
+        return self._fetch_at if recorder.missing_scenes else inf
 
-    def _hear(self, patience: float) -> None:
-        """Take what is in the inbox, waiting at most `patience` seconds for the first."""
-        try:
-            self._take(self._inbox.get(timeout=patience), time.monotonic())
+    def _process(self, recorder: Recorder, timeout: float) -> None:
+        """Process what is in the inbox, waiting at most `timeout` seconds for the first event."""
+        with suppress(Empty):
+            self._take(recorder, self._inbox.get(timeout=timeout), time.monotonic())
             for _ in range(MOST_EVENTS):
-                self._take(self._inbox.get_nowait(), time.monotonic())
-        except Empty:
-            return
+                self._take(recorder, self._inbox.get_nowait(), time.monotonic())
 
-    def _take(self, event: RecorderEvent, now: float) -> None:
+    def _take(self, recorder: Recorder, event: RecorderEvent, now: float) -> None:
         match event:
             case PendingQuery():
-                self._answer(event, now)
+                self._answer(recorder, event, now)
             case Sample():
-                self._scribe.take(event, now)
-                self._fetch_at = 0.0  # whoever sends rows shows their scene, and may soon be gone
+                recorder.take(event, now)
+                self._fetch_at = 0.0  # a coordinator that sends rows has their scene, and may soon be gone
             case FetchedScene(digest, payload):
-                self._store(digest, payload)
+                with suppress(DiskFull):  # it is fetched again soon
+                    recorder.add_scene(digest, payload)
 
     def _ask(self, query: Query) -> bytes:
-        """In a thread of the bus: hand the query over and wait for its answer."""
-        question = PendingQuery(query)
-        self._inbox.put(question)
+        """Hand a query over from a thread of the bus, and wait for its answer."""
+        pending = PendingQuery(query)
+        self._inbox.put(pending)
         try:
-            return question.answer.result(ANSWER_TIMEOUT)
+            return pending.answer.result(ANSWER_TIMEOUT)
         except TimeoutError:
             raise NoReply("the recorder is busy") from None
 
-    def _answer(self, question: PendingQuery, now: float) -> None:
+    def _answer(self, recorder: Recorder, pending: PendingQuery, now: float) -> None:
         """Answer a query; a full disk that is waited for no longer ends this process."""
         try:
-            question.answer.set_result(self._scribe.answer(question.query, now))
+            pending.answer.set_result(recorder.answer(pending.query, now))
         except DiskFull as full:
-            question.answer.set_exception(NoReply(str(full)))
+            pending.answer.set_exception(NoReply(str(full)))
             raise
         except (NoReply, Refused) as reason:
-            question.answer.set_exception(reason)
-        if question.query.key == self._keys.open:
+            pending.answer.set_exception(reason)
+        if pending.query.key == self._keys.open:
             self._fetch_at = 0.0
 
     def _report(self, reports: list[Recorded]) -> None:
-        """Tell the coordinator what is durable."""
+        """Report to the coordinator what is durable."""
         encoding = messages.encoding(Recorded)
         for report in reports:
             self._bus.put(
                 self._keys.recorded, messages.encode(report), encoding=encoding, channel=Channel.CONTROL
             )
 
-    def _fetch_scenes(self, now: float) -> None:
-        """Start to fetch the scene bundles that runs still lack."""
-        self._fetch_at = now + FETCH_INTERVAL
-        self._fetcher.begin(self._books.missing_scenes)
+    def _begin_fetching(self, digests: list[str]) -> None:
+        """Fetch scene bundles in a thread, unless some are being fetched."""
+        if self._fetcher is None or not self._fetcher.is_alive():
+            self._fetcher = threading.Thread(target=self._fetch, args=[digests], name="fetcher", daemon=True)
+            self._fetcher.start()
 
-    def _store(self, digest: str, payload: bytes) -> None:
-        with suppress(DiskFull):  # it is fetched again soon
-            self._books.add_scene(digest, payload)
+    def _fetch(self, digests: list[str]) -> None:
+        """Fetch scene bundles one after the other; runs in the fetcher's thread."""
+        for digest in digests:
+            try:
+                payload = bundle_transfer.fetch_bundle(self._bus, self._job, digest)
+            except (MessageError, Refused):
+                continue  # the coordinator is not there for this run now
+            except BusError:
+                return  # the next try is soon
+            self._inbox.put(FetchedScene(digest, payload))

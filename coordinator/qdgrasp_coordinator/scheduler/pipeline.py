@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.arrays import join_rows, row_bytes, take_rows
-from qdgrasp_coordinator.metrics.run_stats import BUDGET_ALONE, CurveRecorder, RunCounter
+from qdgrasp_coordinator.metrics.run_stats import BUDGET_ALONE, RunCounter
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
@@ -243,8 +243,6 @@ class Pipeline:
         goals: StopCriteria = BUDGET_ALONE,
     ) -> None:
         self.tally = RunCounter(evaluations, overlaps, trials, goals)
-        self.trail = CurveRecorder()
-        """Growth of the counts."""
         self._search = search
         self._shape = shape
         self._overlaps = overlaps
@@ -339,14 +337,13 @@ class Pipeline:
         if not slot.has_arrived:
             return None
         rows = slot.arrived()
-        rows = rows[: self.tally.until_reached(rows)]
+        rows = rows[: self.tally.rows_until_stop(rows)]
         slot.final += len(rows)
         self.tally.count(rows)
         if self.tally.is_reached:
             slot.cut()
         if slot.is_complete:
             self.tally.end_generation()
-            self.trail.note(self.tally)
             self._close(slot)
         return rows
 

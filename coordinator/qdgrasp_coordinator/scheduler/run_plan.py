@@ -14,7 +14,7 @@ from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
-from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, CurveRecorder, RunCounter, RunTotals
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
@@ -30,7 +30,6 @@ class EvaluationPlan(Protocol):
     """Rows to evaluate in a run, in the order in which they count; `Pipeline` for a search."""
 
     tally: RunCounter
-    trail: CurveRecorder
 
     @property
     def finished(self) -> str | None:
@@ -243,7 +242,6 @@ class ReevaluationPlan:
     def __init__(self, recorded: Rows, compare: CompareRow) -> None:
         self.tally = RunCounter(len(recorded), "count")
         """Rows evaluated so far; trials count as evaluations."""
-        self.trail = CurveRecorder()
         self._recorded = recorded
         self._compare = compare
         self._is_due = True

@@ -15,7 +15,7 @@ from msgspec import structs
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import JobStatus, RunListing, RunStatus
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, run_totals
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue
 from qdgrasp_protocol.errors import DiskFull, EndedEarly, InputError, RunFailed, RunsFailed
@@ -75,7 +75,7 @@ class ActiveRun:
     @property
     def curve(self) -> GrowthCurve:
         """Growth of its counts."""
-        return self.pipeline.trail.curve(self.run)
+        return self.tally.curve(self.run)
 
     @property
     def waiting(self) -> int:
@@ -316,7 +316,7 @@ class RunRegistry:
         del self._open[lane.run]
         self._done += 1
         self._budgets.pop(lane.run, None)
-        self._found += run_totals(lane.tally)
+        self._found += lane.tally.totals
 
     def reopen(self, lane: ActiveRun) -> None:
         """Remove a run whose recorder lost rows, to reopen it from its journal."""
@@ -351,7 +351,7 @@ class RunRegistry:
             self._opener.trouble if self._is_opening else "",
             *(lane.record.trouble for lane in lanes),
         ]
-        found = sum((run_totals(lane.tally) for lane in lanes), self._found)
+        found = sum((lane.tally.totals for lane in lanes), self._found)
         replayed = self._replayed + sum(lane.replayed for lane in opening)
         seconds = now - self._began
         return JobStatus(

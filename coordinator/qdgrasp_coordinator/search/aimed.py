@@ -63,15 +63,7 @@ class AimedGrasps:
         return len(self.targets)
 
     def genomes(self, layout: Layout, candidates: int, weights: Floats) -> Genomes:
-        """Their genomes (n, d).
-
-        Parameters
-        ----------
-        candidates
-            How many candidates are drawn for each.
-        weights
-            (n, features): what the candidates of each are ranked by.
-        """
+        """Return their genomes (n, d), with so many candidates, ranked by weights (n, features)."""
         values = np.zeros((len(self), PRIOR_GENES))
         values[:, TARGET], values[:, CONTACT] = self.targets, self.contacts
         values[:, ROLL], values[:, LOOSENESS] = self.rolls, self.looseness
@@ -115,16 +107,11 @@ LEAST_LOOSENESS = 0.3  # The least looseness, as a share of the greatest
 def exploration_grasps(
     space: SearchSpace, n: int, astray: float, loosest: float, generator: np.random.Generator
 ) -> AimedGrasps:
-    """Return `n` scouts.
+    """Return `n` grasps that explore, without a success to learn from.
 
-    Parameters
-    ----------
-    astray
-        The share of them that aim anywhere in the archive's box, at any point: for objects that are unlike
-        their boxes.
-    loosest
-        The greatest looseness of the others. Many candidates make up for a box that is not the surface; a
-        single one had better keep to its aim.
+    The share `astray` of them aims anywhere in the archive's box, at any point: for objects that are unlike
+    their boxes. The others are at most so loose as `loosest`: many candidates make up for a box that is not
+    the surface; a single one had better keep to its aim.
     """
     low, high = (corner[CONTACT] for corner in space.layout.intervals)
     bottom, top = (corner[TARGET] for corner in space.layout.intervals)
@@ -163,8 +150,7 @@ def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
     n = len(normals)
     nu, xi = generator.uniform(0.0, NU_A, n), generator.uniform(0.0, 2 * np.pi, n)
     aside, _ = turned(*tangents(normals), xi)
-    leaning: Floats = np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
-    return leaning
+    return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
 
 
 RETRY_VALUE = 1 / 3  # Worth of a robust grasp in place of a weak one, relative to a success in an empty cell
@@ -177,9 +163,9 @@ NO_PROMISES = np.zeros(0)
 class RetryBudget:
     """Tries for better grasps in cells whose grasp is not robust."""
 
-    def __init__(self, frontier: Frontier, hints: EliteStore) -> None:
+    def __init__(self, frontier: Frontier, elites: EliteStore) -> None:
         self._frontier = frontier
-        self._hints = hints
+        self._elites = elites
         self._robust = np.zeros(frontier.size, np.bool_)
         self._around = np.zeros(frontier.size, np.uint8)
         """Number of neighbours of each cell that hold a robust grasp."""
@@ -191,7 +177,7 @@ class RetryBudget:
 
     def ask(self, generation: int, generator: np.random.Generator) -> Places:
         """The weak cells to try in a generation."""
-        weak, most = self._hints.weak, int(RETRY_SHARE * (1.0 - FADING) * self._tries)
+        weak, most = self._elites.weak, int(RETRY_SHARE * (1.0 - FADING) * self._tries)
         weak = select_top(weak, self.worth(weak), most, generator)
         tries: Places = weak[RETRY_VALUE * self.worth(weak) > self._successes / self._tries]
         self._open[generation] = self._shares(tries)
@@ -200,12 +186,8 @@ class RetryBudget:
     def tell(self, generation: int, fresh: NDArray[np.bool_], again: NDArray[np.bool_]) -> None:
         """Learn from the results of a generation.
 
-        Parameters
-        ----------
-        fresh
-            (n,): which of the tries in empty cells that count succeeded.
-        again
-            (m, 2): of rows that begin with the spare tries, which count, and which are robust grasps.
+        `fresh` (n,): which of the tries in empty cells that count succeeded. `again` (m, 2): of rows that
+        begin with the retries, which count, and which are robust grasps.
         """
         promised = self._open.pop(generation, NO_PROMISES)
         counts, is_robust = again[: len(promised)].T
@@ -214,7 +196,7 @@ class RetryBudget:
         self._tries = FADING * self._tries + len(fresh)
         self._successes = FADING * self._successes + float(np.count_nonzero(fresh))
 
-    def succeed(self, places: Places) -> None:
+    def add_robust(self, places: Places) -> None:
         """Record robust grasps in `places` (n,), in any order and repeated."""
         new = np.unique(places[~self._robust[places]])
         self._robust[new] = True
@@ -223,12 +205,10 @@ class RetryBudget:
     def worth(self, places: Places) -> Floats:
         """Return the probability of a robust grasp in each of `places` (n,), over tries so far."""
         tries = np.maximum(self._frontier.spent(places), 1.0)
-        likely: Floats = self._shares(places) * (self._given / self._promised) / tries
-        return likely
+        return self._shares(places) * (self._given / self._promised) / tries
 
     def _shares(self, places: Places) -> Floats:
-        shares: Floats = self._around[places] / len(NEIGHBOURS)
-        return shares
+        return self._around[places] / len(NEIGHBOURS)
 
 
 FIRST_SCOUTS = 100  # Genomes that scout before any is aimed
@@ -240,14 +220,9 @@ POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their 
 
 
 class AimedSearch:
-    """Aims at empty cells beside successes.
+    """Aims at empty cells beside successes, with genomes of the prior `aimed`.
 
-    Parameters
-    ----------
-    spec
-        Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
-    space
-        Of the prior `aimed`.
+    Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
     """
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
@@ -256,10 +231,10 @@ class AimedSearch:
         self._counts_all = spec.overlaps == "count"
         self._within = space.distances if self._counts_all else ANYWHERE
         self._frontier = Frontier(space.box, space.distances[1], self._within)
-        self._hints = EliteStore(self._frontier.size, space.approach_axis, space.genes - PRIOR_GENES)
+        self._elites = EliteStore(self._frontier.size, space.approach_axis, space.genes - PRIOR_GENES)
         self._ranker = CandidateRanker()
-        self._gate = SuccessThreshold()
-        self._spare = RetryBudget(self._frontier, self._hints)
+        self._threshold = SuccessThreshold()
+        self._retries = RetryBudget(self._frontier, self._elites)
         self._open: dict[int, Floats] = {}
         """Features of the empty cells that generations not told yet aim at."""
         self._candidates = 1 if self._counts_all else MOST_CANDIDATES
@@ -273,10 +248,10 @@ class AimedSearch:
         if self._candidates == 1:
             aimed = scatter_grasps(aimed, keyed_generator(self._spec.seed, "scatter", generation))
         scouts = self._scouts(generation, self._spec.population - len(aimed))
-        wanted = self._gate.wanted(self._frontier.dead_ends(aimed.targets))
+        wanted = self._threshold.wanted(self._frontier.dead_ends(aimed.targets))
         weights = self._weights(np.concatenate([wanted, np.zeros(len(scouts))]))
         genomes = join_grasps(aimed, scouts).genomes(self._space.layout, self._candidates, weights)
-        self._frontier.aim(self._aimed_at(genomes))
+        self._frontier.count_tries(self._aimed_at(genomes))
         self._asked += len(genomes)
         return genomes
 
@@ -288,47 +263,47 @@ class AimedSearch:
         is_told, n = is_simulated | self._counts_all, len(features)
         fresh, again = is_told[:n], np.stack([is_told, rows["outcome"] >= Outcome.HELD], axis=1)[n:]
         self._frontier.learn(features[fresh], is_success[:n][fresh])
-        self._spare.tell(generation, is_success[:n][fresh], again)
-        self._frontier.fail(self._aimed_at(rows["genome"][~is_simulated]))
+        self._retries.tell(generation, is_success[:n][fresh], again)
+        self._frontier.count_dead_ends(self._aimed_at(rows["genome"][~is_simulated]))
         self._succeed(rows[is_success])
         self._ranker.learn(rows[is_simulated])
-        self._gate.tell(is_told)
+        self._threshold.update(is_told)
 
     def _succeed(self, successes: Rows) -> None:
         """Learn from successes; those outside the box are passed over."""
         places = self._frontier.places(successes["descriptor"][:, :3])
         successes, places = successes[places >= 0], places[places >= 0]
-        self._frontier.succeed(places, successes["surface_point"].astype(np.float64))
-        self._hints.learn(places, successes)
-        self._spare.succeed(places[successes["outcome"] >= Outcome.HELD])
+        self._frontier.add_successes(places, successes["surface_point"].astype(np.float64))
+        self._elites.offer(places, successes)
+        self._retries.add_robust(places[successes["outcome"] >= Outcome.HELD])
 
     def _targets(self, generation: int) -> Places:
         """The cells to aim at, each once, at most as many as the population; none in the beginning."""
         if self._asked < FIRST_SCOUTS:
             return np.zeros(0, np.intp)
         generator = keyed_generator(self._spec.seed, "targets", generation)
-        scouts = SCOUT_SHARE * self._gate.share
+        scouts = SCOUT_SHARE * self._threshold.share
         n = int(np.count_nonzero(generator.random(self._spec.population) >= scouts))
         best = self._frontier.best(n, generator)
-        spare = self._spare.ask(generation, generator)
-        left = max(0, min(len(best), n - len(spare)))
-        return np.concatenate([self._frontier.best(left, generator, best), spare])
+        retries = self._retries.ask(generation, generator)
+        left = max(0, min(len(best), n - len(retries)))
+        return np.concatenate([self._frontier.best(left, generator, best), retries])
 
     def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
         """Return the grasps of neighbours, for the cells `targets`."""
         generator = keyed_generator(self._spec.seed, "parents", generation)
         parents = self._parents(targets, generator)
-        centres, contacts = self._frontier.centres(targets), self._hints.points(parents)
-        rolls = self._hints.rolls(parents, directions(centres, contacts))
-        postures = self._varied(self._hints.postures(parents), generator)
+        centres, contacts = self._frontier.centres(targets), self._elites.points(parents)
+        rolls = self._elites.rolls(parents, directions(centres, contacts))
+        postures = self._varied(self._elites.postures(parents), generator)
         return AimedGrasps(centres, contacts, rolls, np.zeros(len(targets)), postures)
 
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
         """Choose for each target a success in or around it, at a wanted distance where possible."""
         options = np.concatenate([self._frontier.around(targets), targets[:, None]], axis=1)
-        preference = self._hints.preference(options, generator)
+        preference = self._elites.preference(options, generator)
         least, greatest = self._within
-        distances = self._hints.distances(options, self._frontier.centres(targets))
+        distances = self._elites.distances(options, self._frontier.centres(targets))
         is_near = (distances >= least) & (distances <= greatest)
         preference = np.where(is_near, preference, np.minimum(preference, 0.0))
         parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
@@ -353,7 +328,7 @@ class AimedSearch:
         return self._ranker.wanting(wanted)
 
     def _scouts(self, generation: int, n: int) -> AimedGrasps:
-        found = len(self._hints) > 0
+        found = len(self._elites) > 0
         astray = 0.0 if found else min(0.5, 0.5 * self._asked / ASTRAY_GENOMES)
         loosest = 0.0 if self._candidates == 1 else 1.0
         return exploration_grasps(

@@ -9,7 +9,7 @@ keep the elder.
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,15 +42,7 @@ class ArchiveElites:
 
 
 class EliteArchive:
-    """The best genome found in each cell.
-
-    Parameters
-    ----------
-    genes
-        How many genes a genome has.
-    box
-        The box of positions that are kept, enlarged to whole cells.
-    """
+    """The best genome found in each cell of a box of positions, enlarged to whole cells."""
 
     outside: int = 0
     """Valid positions that lay outside the box, so far."""
@@ -58,7 +50,7 @@ class EliteArchive:
     def __init__(self, genes: int, box: PositionBox) -> None:
         _compile_insertion()
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
-        self._grid = _grid(genes, self._low, self._high)
+        self._grid = _elite_grid(genes, self._low, self._high)
         self._places = np.zeros(0, dtype=np.int64)
         self._successful = np.zeros(0, dtype=bool)
 
@@ -78,8 +70,7 @@ class EliteArchive:
     def genomes(self, places: NDArray[np.int64]) -> Genomes:
         """Return the genomes (n, d) of the elites in the cells of these numbers (n,), all occupied."""
         _, data = self._grid.retrieve(self._low + np.stack(np.unravel_index(places, self._grid.dims), axis=1))
-        found: Genomes = data["solution"]
-        return found
+        return data["solution"]
 
     def insert(self, rows: Rows) -> None:
         """Offer rows, elder ones first; overlaps, dead ends and errors are passed over."""
@@ -89,11 +80,16 @@ class EliteArchive:
         self.outside += int(np.count_nonzero(~inside))
         if inside.any():
             kept = take_rows(valid, inside)
-            self._grid.add(kept["genome"], _objectives(kept), where[inside])
+            is_success = kept["outcome"] >= Outcome.DROPPED
+            self._grid.add(
+                kept["genome"],
+                np.where(is_success, kept["fitness"], np.float32(FAILED)),
+                where[inside],
+            )
             places = np.ravel_multi_index(tuple((where[inside] - self._low).T), tuple(self._grid.dims))
-            self._note(places, kept["outcome"] >= Outcome.DROPPED)
+            self._mark(places, is_success)
 
-    def _note(self, places: NDArray[np.int64], successful: NDArray[np.bool_]) -> None:
+    def _mark(self, places: NDArray[np.int64], successful: NDArray[np.bool_]) -> None:
         """Add newly occupied cells to the list, and mark cells that were offered a success."""
         offered = np.unique(places)
         at = np.searchsorted(self._places, offered)
@@ -103,26 +99,22 @@ class EliteArchive:
         self._successful[np.searchsorted(self._places, places[successful])] = True
 
 
-def _objectives(valid: Rows) -> NDArray[np.float32]:
-    success = valid["outcome"] >= Outcome.DROPPED
-    return np.where(success, valid["fitness"], np.float32(FAILED))
-
-
-def _grid(genes: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> "GridArchive":
+def cell_grid(genes: int, low: NDArray[np.int64], high: NDArray[np.int64], **options: Any) -> "GridArchive":
     """Make a pyribs archive whose measures are cells, so that its bins are those of `cells`."""
     from ribs.archives import GridArchive  # takes 1-2 s, which only a process that searches should pay
 
-    return GridArchive(
-        solution_dim=genes,
-        dims=high - low + 1,
-        ranges=list(zip(low - 0.5, high + 0.5, strict=True)),
-        solution_dtype=np.float32,
-        objective_dtype=np.float32,
-        measures_dtype=np.float64,
-    )
+    ranges = list(zip(low - 0.5, high + 0.5, strict=True))
+    return GridArchive(solution_dim=genes, dims=high - low + 1, ranges=ranges, **options)
+
+
+def _elite_grid(genes: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> "GridArchive":
+    dtypes = {"solution_dtype": np.float32, "objective_dtype": np.float32, "measures_dtype": np.float64}
+    return cell_grid(genes, low, high, **dtypes)
 
 
 @cache
 def _compile_insertion() -> None:
     """Have pyribs compile its batch insertion (1-2 s, once a process) before anything waits."""
-    _grid(1, np.zeros(3, np.int64), np.ones(3, np.int64)).add(np.zeros((1, 1)), np.zeros(1), np.zeros((1, 3)))
+    _elite_grid(1, np.zeros(3, np.int64), np.ones(3, np.int64)).add(
+        np.zeros((1, 1)), np.zeros(1), np.zeros((1, 3))
+    )

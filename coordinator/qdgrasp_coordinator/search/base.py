@@ -16,19 +16,11 @@ from qdgrasp_protocol.rows import Genomes, Layout, Rows
 
 
 def keyed_generator(seed: int, purpose: str, generation: int) -> np.random.Generator:
-    """The generator of one purpose in one generation of one run.
+    """Return the generator of one purpose ("initial", "parents" ...) in a generation of a run.
 
     Draw whole arrays over the index from it: what a genome gets then depends on (seed, purpose, generation,
-    index) alone, never on what was drawn for another purpose or generation before.
-
-    Parameters
-    ----------
-    seed
-        The run's seed, 0 or greater.
-    purpose
-        What is drawn: "initial", "parents", "mutation" ...
-    generation
-        0 .. 2**32 - 1.
+    index) alone, never on what was drawn for another purpose or generation before. Seeds are 0 or greater,
+    generations below 2**32.
     """
     digest = hashlib.sha256(purpose.encode()).digest()
     words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in (0, 4, 8, 12))
@@ -55,12 +47,9 @@ class SearchSpace:
 
 
 def search_space(scene: Scene, prior: str) -> SearchSpace:
-    """The space of genomes of `prior` in a scene.
+    """Return the space of genomes of `prior` in a scene.
 
-    Raises
-    ------
-    JawNeeded
-        The prior is for two-finger hands, and this hand is none.
+    Raises `JawNeeded` where the prior is for two-finger hands, and this hand has another number of them.
     """
     hand = scene.gripper
     distances = (hand.palm_offset + hand.standoff[0], hand.reach)

@@ -1,9 +1,9 @@
-"""CMA_MAE: fifteen evolution strategies that climb what their archive does not know yet, on pyribs.
+"""CMA-MAE: fifteen evolution strategies on pyribs that climb what their archive lacks.
 
 Huber et al. 2024, section IV, with the parameters of Fontaine and Nikolaidis 2023, "Covariance Matrix
-Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's
-released code. The objective of a simulated pose is its fitness; what was rejected (overlap, dead end, error,
-or a position outside the box) has f_min, so it is ranked last and never inserted.
+Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's released
+code. The objective of a simulated pose is its fitness; what was rejected (overlap, dead end, error, or a
+position outside the box) has f_min, so it is ranked last and never inserted.
 
 Otherwise than in the released code every emitter starts at a point of its own, a rejected pose is not worth
 as much as a miss, and what is told is what was asked. As there, genomes are clipped for evaluation alone.
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.search.archive import PositionBox
+from qdgrasp_coordinator.search.archive import PositionBox, cell_grid
 from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
@@ -35,13 +35,7 @@ F_MIN = -1.0  # The threshold of an empty cell
 
 
 def check(spec: RunSpec) -> None:
-    """Check that emitters can share the population, and are told before they are asked again.
-
-    Raises
-    ------
-    ImpossibleValue
-        They cannot.
-    """
+    """Check that emitters can share the population, and are told before they are asked again."""
     if spec.population % EMITTERS or spec.population < 2 * EMITTERS:
         expected = (
             f"a multiple of {EMITTERS}, at least {2 * EMITTERS}, for {spec.method} ({EMITTERS} emitters)"
@@ -53,13 +47,7 @@ def check(spec: RunSpec) -> None:
 
 
 class CmaMae:
-    """Asks each emitter for its share of a generation, and tells them all what became of it.
-
-    Raises
-    ------
-    ImpossibleValue
-        See `check`.
-    """
+    """Asks each emitter for its share of a generation, and tells them all the results."""
 
     def __init__(self, spec: RunSpec, genes: int, box: PositionBox) -> None:
         check(spec)
@@ -89,38 +77,21 @@ class CmaMae:
         Before anything was simulated the emitters are told nothing: they would have no elite to restart from.
         """
         places = cells(rows["descriptor"][:, :3])
-        told = {
+        is_inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
+        is_kept = (rows["outcome"] >= Outcome.MISSED) & is_inside
+        batch = {
             "solution": self._asked,
-            "objective": self._objectives(rows, places),
+            "objective": np.where(is_kept, rows["fitness"].astype(np.float64), F_MIN),
             "measures": np.clip(places, self._low, self._high).astype(np.float64),
         }
-        added = self._archive.add(**told)
-        if len(self._archive):
-            self._adapt(told, added)
-
-    def _adapt(self, told: dict[str, Any], added: dict[str, Any]) -> None:
-        for number, emitter in enumerate(self._emitters):
+        added = self._archive.add(**batch)
+        for number, emitter in enumerate(self._emitters if len(self._archive) else ()):
             own = slice(number * self._share, (number + 1) * self._share)
-            emitter.tell(**_part(told, own), add_info=_part(added, own))
-
-    def _objectives(self, rows: Rows, places: NDArray[np.int64]) -> NDArray[np.float64]:
-        inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
-        simulated = rows["outcome"] >= Outcome.MISSED
-        return np.where(simulated & inside, rows["fitness"].astype(np.float64), F_MIN)
+            emitter.tell(**_part(batch, own), add_info=_part(added, own))
 
 
 def _grid(low: NDArray[np.int64], high: NDArray[np.int64], genes: int, seed: int) -> "GridArchive":
-    """Make a pyribs archive whose measures are cells; its bins are those of `archive.Archive`."""
-    from ribs.archives import GridArchive  # takes 1-2 s, which only a process that searches should pay
-
-    return GridArchive(
-        solution_dim=genes,
-        dims=high - low + 1,
-        ranges=list(zip(low - 0.5, high + 0.5, strict=True)),
-        learning_rate=ALPHA,
-        threshold_min=F_MIN,
-        seed=seed,
-    )
+    return cell_grid(genes, low, high, learning_rate=ALPHA, threshold_min=F_MIN, seed=seed)
 
 
 def _emitter(archive: "GridArchive", start: ArrayLike, share: int, seed: int) -> "EvolutionStrategyEmitter":
@@ -143,8 +114,8 @@ def _compile_adaptation() -> None:
     """Have pyribs compile ask and tell (4-6 s, once a process) before anything waits for it."""
     archive = _grid(np.zeros(3, np.int64), np.ones(3, np.int64), 2, 0)
     emitter = _emitter(archive, np.zeros(2), 4, 0)
-    told = {"solution": emitter.ask(), "objective": np.arange(4.0), "measures": np.zeros((4, 3))}
-    emitter.tell(**told, add_info=archive.add(**told))
+    batch = {"solution": emitter.ask(), "objective": np.arange(4.0), "measures": np.zeros((4, 3))}
+    emitter.tell(**batch, add_info=archive.add(**batch))
     emitter.ask()
 
 

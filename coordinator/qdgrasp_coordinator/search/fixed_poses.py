@@ -44,12 +44,12 @@ class HandPoses:
     """(n,) labels; -1: no synergy."""
     spreads: NDArray[np.float64]
     """(n, k) positions of the free joints [rad]; NaN: the open posture."""
-    called: PoseNames
+    names: PoseNames
 
     @classmethod
     def of(
         cls,
-        called: PoseNames,
+        names: PoseNames,
         positions: ArrayLike,
         quaternions: ArrayLike,
         synergies: ArrayLike | None = None,
@@ -57,54 +57,44 @@ class HandPoses:
     ) -> "HandPoses":
         """Make poses from arrays as in the fields; a NaN label, or None: no synergy, open posture.
 
-        Raises
-        ------
-        InputError
-            An array has another type or shape, holds a number that cannot be, or there are no poses.
+        Raises `InputError` where an array has another type or shape, holds a number that cannot be, or there
+        are no poses.
         """
-        places = finite_numbers(called.positions, positions, ("n", 3))
+        places = finite_numbers(names.positions, positions, ("n", 3))
         n = len(places)
-        turns = finite_numbers(called.quaternions, quaternions, (n, 4))
-        labels = np.full(n, np.nan) if synergies is None else real_numbers(called.synergies, synergies, (n,))
-        free = np.full((n, 0), np.nan) if spreads is None else real_numbers(called.spreads, spreads, (n, "k"))
-        _check_places(called.positions, places)
-        if (np.linalg.norm(turns, axis=1) < SHORTEST).any():
-            raise InputError(f"{called.quaternions} holds a quaternion of length zero, which is no rotation.")
+        rotations = finite_numbers(names.quaternions, quaternions, (n, 4))
+        labels = np.full(n, np.nan) if synergies is None else real_numbers(names.synergies, synergies, (n,))
+        free = np.full((n, 0), np.nan) if spreads is None else real_numbers(names.spreads, spreads, (n, "k"))
+        if not n:
+            raise InputError(f"{names.positions} holds no poses.")
+        if len(far := places[np.abs(places) > FARTHEST]):
+            expected = f"no more than {FARTHEST:g} m away; lengths are metres"
+            raise ImpossibleValue(names.positions, float(far[0]), expected)
+        if (np.linalg.norm(rotations, axis=1) < SHORTEST).any():
+            raise InputError(f"{names.quaternions} holds a quaternion of length zero, which is no rotation.")
         if np.isinf(free).any():
-            raise InputError(f"{called.spreads} holds a number that is infinite.")
-        return cls(places, turns, _integer_labels(called.synergies, labels), free, called)
+            raise InputError(f"{names.spreads} holds a number that is infinite.")
+        return cls(places, rotations, _integer_labels(names.synergies, labels), free, names)
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def check(self, hand: SceneGripper) -> None:
-        """Check that a hand has the synergies and free joints that poses ask for.
-
-        Raises
-        ------
-        ImpossibleValue
-            It does not.
-        """
+        """Check that a hand has the synergies and free joints that poses ask for."""
         known, free = len(hand.synergies), len(hand.free_joints)
         wrong = self.synergies[(self.synergies < NO_SYNERGY) | (self.synergies >= known)]
         if len(wrong):
             labels = f"-1 (none) or 0 to {known - 1} for this hand" if known else "-1, for the hand has none"
-            raise ImpossibleValue(self.called.synergies, int(wrong[0]), labels)
+            raise ImpossibleValue(self.names.synergies, int(wrong[0]), labels)
         behind = self.spreads[:, free:]
-        if len(told := behind[~np.isnan(behind)]):
+        if len(given := behind[~np.isnan(behind)]):
             columns = (
                 f"NaN but in the first {free} columns" if free else "NaN, for the hand has no free joints"
             )
-            raise ImpossibleValue(self.called.spreads, float(told[0]), columns)
+            raise ImpossibleValue(self.names.spreads, float(given[0]), columns)
 
     def genomes(self, scene: Scene) -> NDArray[np.float32]:
-        """Return genomes of the prior `given` (assets, `layout`): pose, then synergy, free joints.
-
-        Raises
-        ------
-        ImpossibleValue
-            As `check`.
-        """
+        """Return genomes of the prior `given` (assets, `layout`): pose, then synergy, free joints."""
         hand = scene.gripper
         self.check(hand)
         columns = [self.positions, _unit_quaternions(self.quaternions)]
@@ -123,20 +113,14 @@ class HandPoses:
 
 
 def read_poses(path: Path) -> HandPoses:
-    """The poses in an npz file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, lacks an array, or holds one that cannot be (`Poses.of`).
-    """
+    """Return the poses in an npz file; raises `InputError` as `read_arrays` and `HandPoses.of`."""
     arrays = read_arrays(path, "poses")
     for name in (IN_FILES.positions, IN_FILES.quaternions):
         if name not in arrays:
             raise InputError(f"{path} has no array '{name}'; it has {', '.join(sorted(arrays)) or 'none'}.")
-    called = PoseNames(*(f"{path}: {name}" for name in IN_FILES))
+    names = PoseNames(*(f"{path}: {name}" for name in IN_FILES))
     first, second, *others = IN_FILES
-    return HandPoses.of(called, arrays[first], arrays[second], *map(arrays.get, others))
+    return HandPoses.of(names, arrays[first], arrays[second], *map(arrays.get, others))
 
 
 def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
@@ -169,13 +153,7 @@ def opened(gripper: SceneGripper, spreads: NDArray[np.float32]) -> NDArray[np.fl
 
 
 def write_scores(path: Path, rows: Rows, trials: int = 0) -> None:
-    """Write scores to a new file, in the order of the poses.
-
-    Parameters
-    ----------
-    rows, trials
-        As in `scores`.
-    """
+    """Write `scores` of rows to a new file, in the order of the poses."""
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **scores(rows, trials))
 
@@ -211,14 +189,6 @@ def _unit_quaternions(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.abs(lengths - 1.0) < ROUNDING, quaternions, quaternions / lengths)
 
 
-def _check_places(name: str, places: NDArray[np.float64]) -> None:
-    if not len(places):
-        raise InputError(f"{name} holds no poses.")
-    far = places[np.abs(places) > FARTHEST]
-    if len(far):
-        raise ImpossibleValue(name, float(far[0]), f"no more than {FARTHEST:g} m away; lengths are metres")
-
-
 def _integer_labels(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return labels (n,) as integers; NaN: `NO_SYNERGY`."""
     labels = np.where(np.isnan(labels), NO_SYNERGY, labels)
@@ -232,12 +202,7 @@ def _integer_labels(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]
 class FixedPoseSearch:
     """Asks given poses in their order, at most `population` in a generation, each once.
 
-    Parameters
-    ----------
-    poses
-        (n, d) float32, laid out as `layout(scene, GIVEN)` says; not confined to [-1, 1].
-    population
-        The most rows in a generation.
+    They are (n, d) float32, laid out as `layout(scene, GIVEN)` says, and not confined to [-1, 1].
     """
 
     def __init__(self, poses: Genomes, population: int) -> None:
@@ -254,13 +219,7 @@ class FixedPoseSearch:
 
 
 def check_poses(spec: RunSpec) -> None:
-    """Check that a spec has poses, finite ones, and no greater budget than these.
-
-    Raises
-    ------
-    ImpossibleValue
-        It has not.
-    """
+    """Check that a spec has poses, finite ones, and no greater budget than these."""
     if spec.poses is None:
         raise ImpossibleValue("poses", None, f"lists of numbers for method '{spec.method}'")
     if spec.evaluations > len(spec.poses):
@@ -272,13 +231,7 @@ def check_poses(spec: RunSpec) -> None:
 
 
 def fixed_pose_search(spec: RunSpec, genes: int) -> FixedPoseSearch:
-    """The search over the poses of a spec.
-
-    Raises
-    ------
-    ImpossibleValue
-        See `check`; or a pose has not `genes` numbers.
-    """
+    """Return the search over the poses of a spec, each of `genes` numbers."""
     check_poses(spec)
     poses = spec.poses or ()
     if wrong := {len(pose) for pose in poses} - {genes}:

@@ -45,8 +45,7 @@ class Frontier:
     reach
         The greatest distance from the hand to the surface point that it looks at [m].
     within
-        The least and the greatest distance of a cell from a success's contact point beside it, for it to be
-        aimed at [m].
+        The least and the greatest distance [m] from a success's contact point of a cell to aim at.
     """
 
     def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
@@ -103,16 +102,16 @@ class Frontier:
         around: Places = places[:, None] + self._around
         return around
 
-    def aim(self, places: Places) -> None:
+    def count_tries(self, places: Places) -> None:
         """Count a try in each of `places` (n,), which may repeat, before its result is known."""
         np.add.at(self._tries, places, 1)
 
-    def fail(self, places: Places) -> None:
+    def count_dead_ends(self, places: Places) -> None:
         """Count tries in `places` (n,) as dead ends instead."""
         np.add.at(self._tries, places, -1)
         np.add.at(self._dead_ends, places, 1)
 
-    def succeed(self, places: Places, contacts: Floats) -> None:
+    def add_successes(self, places: Places, contacts: Floats) -> None:
         """Record successes in `places` (n,), in any order and repeated, at `contacts` (n, 3) [m]."""
         new, first = np.unique(places, return_index=True)
         is_new = ~self._successful[new]
@@ -145,21 +144,19 @@ class Frontier:
 
     def worth(self, places: Places) -> Floats:
         """Return the estimated worth of a try in each of `places` (n,), 0 to 1."""
-        worth: Floats = self._model.likely(self.features(places)) / (self.spent(places) + 1.0)
-        return worth
+        return self._model.likely(self.features(places)) / (self.spent(places) + 1.0)
 
     def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:
         """Return the `n` of the edge, or of `among`, that are worth most; fewer if there are fewer.
 
         Among equals `generator` draws.
         """
-        places = self._edge[self._are_near(self._edge)] if among is None else among
+        places, (least, greatest) = self._edge, self._within
+        if among is None:  # those that may be as far from a contact point as is wanted
+            places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
+        else:
+            places = among
         return select_top(places, self.worth(places), n, generator)
-
-    def _are_near(self, places: Places) -> NDArray[np.bool_]:
-        """Flag the cells (n,) that may be as far from a contact point as is wanted."""
-        least, greatest = self._within
-        return (self._farthest[places] >= least) & (self._distances[places] <= greatest)
 
     def dead_ends(self, positions: Floats) -> NDArray[np.int32]:
         """Return the number of dead ends in the cells of `positions` (n, 3) [m]; 0 outside the box."""
@@ -168,8 +165,7 @@ class Frontier:
 
     def spent(self, places: Places) -> Floats:
         """Return the tries spent on each of `places` (n,); a dead end counts `DEAD_END`."""
-        spent: Floats = self._tries[places] + DEAD_END * self._dead_ends[places]
-        return spent
+        return self._tries[places] + DEAD_END * self._dead_ends[places]
 
 
 def select_top(places: Places, worth: NDArray[np.float64], n: int, generator: np.random.Generator) -> Places:
@@ -187,21 +183,15 @@ RANK_NOISE = 3.0
 So much that a dropped success is followed now and then where a held one is near, and that equals are all
 followed in turn.
 """
-NO_SLOT = -1  # The slot of a place without a hint
-FIRST_CAPACITY = 256  # Initial capacity for hints; it doubles as needed
+NO_SLOT = -1  # The slot of a place without an elite
+FIRST_CAPACITY = 256  # Initial capacity for elites; it doubles as needed
 
 
 class EliteStore:
     """The best success of each place, by outcome and then fitness; of equals the elder.
 
-    Parameters
-    ----------
-    places
-        How many places there are.
-    axis
-        The hand's approach axis, base frame.
-    posture
-        How many genes, the last ones of a genome, are the posture: synergy and free joints.
+    `axis` is the hand's approach axis, base frame. The last `posture` genes of a genome are synergy and free
+    joints.
     """
 
     def __init__(self, places: int, axis: Vector, posture: int) -> None:
@@ -213,14 +203,16 @@ class EliteStore:
         self._size = 0
 
     def __len__(self) -> int:
-        """Return the number of places that have a hint."""
+        """Return the number of places that have an elite."""
         return self._size
 
-    def learn(self, places: Places, rows: Rows) -> None:
+    def offer(self, places: Places, rows: Rows) -> None:
         """Offer the successes `rows` (n,), elder ones first, found in `places` (n,)."""
-        best = _best_rows(places, rows)
+        best_first = np.argsort(-_ranks(rows), kind="stable")
+        _, first = np.unique(places[best_first], return_index=True)
+        best = best_first[first]  # the best row of each distinct place, of ties the first
         best = best[_ranks(rows[best]) > self.ranks(places[best])]
-        self._keep(self._rooms(places[best]), places[best], rows[best])
+        self._keep(self._slots_for(places[best]), places[best], rows[best])
 
     def points(self, places: Places) -> Floats:
         """The surface points (n, 3) [m] that the grasps at `places` (n,) look at."""
@@ -241,14 +233,14 @@ class EliteStore:
         return self._at("posture", places)
 
     def ranks(self, places: Places) -> Floats:
-        """Return ranks, for comparison alone: (n,), below zero where there is no hint."""
+        """Return ranks, for comparison alone: (n,), below zero where there is no elite."""
         slots = self._slots[places]
         return np.where(slots == NO_SLOT, -1.0, self._kept["rank"][slots])
 
     def preference(self, options: Places, generator: np.random.Generator) -> Floats:
         """Return the preference of each of `options` (n, k), by outcome and by chance: (n, k).
 
-        -1 where there is no hint.
+        -1 where there is no elite.
         """
         ranks = self.ranks(options)
         return np.where(ranks < 0, -1.0, ranks + RANK_NOISE * generator.random(options.shape))
@@ -257,14 +249,12 @@ class EliteStore:
     def weak(self) -> Places:
         """The places whose best success is not robust, in the order of discovery."""
         kept = self._kept[: self._size]
-        places: Places = kept["place"][kept["outcome"] < Outcome.HELD]
-        return places
+        return kept["place"][kept["outcome"] < Outcome.HELD]
 
     def _at(self, name: str, places: Places) -> Floats:
-        values: Floats = self._kept[name][self._slots[places]].astype(np.float64)
-        return values
+        return self._kept[name][self._slots[places]].astype(np.float64)
 
-    def _rooms(self, places: Places) -> NDArray[np.int32]:
+    def _slots_for(self, places: Places) -> NDArray[np.int32]:
         """Return the slots of distinct `places`; those without one get the next ones."""
         new = places[self._slots[places] == NO_SLOT]
         while self._size + len(new) > len(self._kept):
@@ -292,12 +282,4 @@ class EliteStore:
 def _ranks(rows: Rows) -> Floats:
     """A number for each of `rows` that orders them by outcome and then by fitness."""
     fitness = rows["fitness"].astype(np.float64)
-    ranks: Floats = rows["outcome"] + fitness / (1.0 + fitness)
-    return ranks
-
-
-def _best_rows(places: Places, rows: Rows) -> NDArray[np.intp]:
-    """Return indices of the best row of each distinct one of `places` (n,); ties: the first."""
-    best_first = np.argsort(-_ranks(rows), kind="stable")
-    _, first = np.unique(places[best_first], return_index=True)
-    return best_first[first]
+    return rows["outcome"] + fitness / (1.0 + fitness)

@@ -20,8 +20,6 @@ from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 BuildSearch = Callable[[RunSpec, SearchSpace], SearchAlgorithm]
 """Makes a search from a spec and the space of its genomes."""
-
-
 CheckSpec = Callable[[RunSpec], None]
 """Raises an `InputError` where a spec asks what the search cannot do."""
 
@@ -44,6 +42,22 @@ class Method:
     """Generations asked before the first is told unless the spec says otherwise."""
 
 
+class PriorLabel(NamedTuple):
+    """Prefix and description of a prior in the table of methods."""
+
+    prefix: str
+    words: str
+
+
+PRIORS = {
+    "contact": PriorLabel("contact_", "any angle to the surface"),
+    "approach": PriorLabel("approach_", "at most 45 deg from the surface's normal"),
+    "antipodal": PriorLabel("antipodal_", "two fingers on opposite points"),
+    "spherical": PriorLabel("", "without a prior"),
+    genes.AIMED: PriorLabel("", "into a cell"),
+}
+
+
 @dataclass(frozen=True)
 class MethodFamily:
     """Methods that search alike and differ in their prior."""
@@ -63,45 +77,26 @@ class MethodFamily:
         return Method(name, prior, self.build, self.check, "count", self.population, summary)
 
 
-class PriorLabel(NamedTuple):
-    """Prefix and description of a prior in the table of methods."""
-
-    prefix: str
-    words: str
-
-
-PRIORS = {
-    "contact": PriorLabel("contact_", "any angle to the surface"),
-    "approach": PriorLabel("approach_", "at most 45 deg from the surface's normal"),
-    "antipodal": PriorLabel("antipodal_", "two fingers on opposite points"),
-    "spherical": PriorLabel("", "without a prior"),
-    genes.AIMED: PriorLabel("", "into a cell"),
-}
-
-
-def _random(spec: RunSpec, space: SearchSpace) -> SearchAlgorithm:
-    return RandomSearch(spec.seed, spec.population, space.genes)
-
-
-def _me_rand(spec: RunSpec, space: SearchSpace) -> SearchAlgorithm:
-    return MapElites(spec, space.genes, space.box, select_uniform)
-
-
-def _me_scs(spec: RunSpec, space: SearchSpace) -> SearchAlgorithm:
-    return MapElites(spec, space.genes, space.box, select_successes)
-
-
-def _cma_mae(spec: RunSpec, space: SearchSpace) -> SearchAlgorithm:
-    return cma_mae.CmaMae(spec, space.genes, space.box)
-
-
 FAMILIES = (
-    MethodFamily("rand", _random, "Uniform genomes", priors=("contact", "approach", "antipodal")),
-    MethodFamily("me_rand", _me_rand, "MAP-Elites, parents uniform over the archive"),
-    MethodFamily("me_scs", _me_scs, "MAP-Elites, successful elites first"),
+    MethodFamily(
+        "rand",
+        lambda spec, space: RandomSearch(spec.seed, spec.population, space.genes),
+        "Uniform genomes",
+        priors=("contact", "approach", "antipodal"),
+    ),
+    MethodFamily(
+        "me_rand",
+        lambda spec, space: MapElites(spec, space.genes, space.box, select_uniform),
+        "MAP-Elites, parents uniform over the archive",
+    ),
+    MethodFamily(
+        "me_scs",
+        lambda spec, space: MapElites(spec, space.genes, space.box, select_successes),
+        "MAP-Elites, successful elites first",
+    ),
     MethodFamily(
         "cma_mae",
-        _cma_mae,
+        lambda spec, space: cma_mae.CmaMae(spec, space.genes, space.box),
         "CMA-MAE, 15 evolution strategies",
         population=cma_mae.POPULATION,
         check=cma_mae.check,
@@ -121,14 +116,14 @@ AIMED = Method(
 PAPER = [family.method(prior) for family in FAMILIES for prior in family.priors]
 METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
 """The first one is the default, as `RunSpec` has it."""
-
-
-def _given(spec: RunSpec, space: SearchSpace) -> SearchAlgorithm:
-    return fixed_poses.fixed_pose_search(spec, space.genes)
-
-
 SCORING = Method(
-    GIVEN, GIVEN, _given, fixed_poses.check_poses, "count", 500, "The poses of the spec, each once."
+    GIVEN,
+    GIVEN,
+    lambda spec, space: fixed_poses.fixed_pose_search(spec, space.genes),
+    fixed_poses.check_poses,
+    "count",
+    500,
+    "The poses of the spec, each once.",
 )
 """Method that scores given poses again; it is not offered among the methods."""
 
@@ -150,13 +145,7 @@ CUSTOM = {
 
 
 def method(name: str) -> Method:
-    """The method of a name.
-
-    Raises
-    ------
-    UnknownName
-        No method is called so; the known ones are named.
-    """
+    """Return the method of a name, or raise `UnknownName`, which names the known ones."""
     known = METHODS | {other.name: other for other in (SCORING, *CUSTOM.values())}
     if name not in known:
         raise UnknownName("method", name, METHODS)
@@ -164,15 +153,7 @@ def method(name: str) -> Method:
 
 
 def check_spec(spec: RunSpec) -> None:
-    """Check that a spec asks what its method can do.
-
-    Raises
-    ------
-    UnknownName
-        There is no such method.
-    ImpossibleValue
-        It does not.
-    """
+    """Check that there is the method that a spec asks for, and that it can do it."""
     chosen = method(spec.method)
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")

@@ -32,13 +32,9 @@ So the last bits of a fit, which differ between processors, do not reach the gen
 class LogisticRegression:
     """Probability of success, given features of which the last is constant.
 
-    Parameters
-    ----------
-    start
-        (features,): the weights until the first fit, and the mean of their prior in all fits.
-    own_units
-        Whether the unit of each feature is its standard deviation, instead of 1: what is small then tells as
-        much as what is large.
+    `start` (features,) are the weights until the first fit, and the mean of their prior in all fits. With
+    `own_units` the unit of each feature is its standard deviation, instead of 1: what is small then counts as
+    much as what is large.
     """
 
     def __init__(self, start: ArrayLike, *, own_units: bool = False) -> None:
@@ -48,18 +44,18 @@ class LogisticRegression:
         self._own_units = own_units
         self._features = np.zeros((EXAMPLES_KEPT, len(self._start)))
         self._successes = np.zeros(EXAMPLES_KEPT, np.bool_)
-        self._heard = 0
+        self._seen = 0
         self._fitted = 0
 
     def learn(self, features: Floats, successes: NDArray[np.bool_]) -> None:
         """Learn from examples: features (n, k) and which of them were successes."""
         features, successes = features[-EXAMPLES_KEPT:], successes[-EXAMPLES_KEPT:]
-        places = (self._heard + np.arange(len(features))) % EXAMPLES_KEPT
+        places = (self._seen + np.arange(len(features))) % EXAMPLES_KEPT
         self._features[places], self._successes[places] = features, successes
-        self._heard += len(features)
-        known = min(self._heard, EXAMPLES_KEPT)
-        if self._heard - self._fitted >= FIT_INTERVAL and _has_enough_of_both(self._successes[:known]):
-            self._fitted = self._heard
+        self._seen += len(features)
+        known = min(self._seen, EXAMPLES_KEPT)
+        if self._seen - self._fitted >= FIT_INTERVAL and _has_enough_of_both(self._successes[:known]):
+            self._fitted = self._seen
             features, successes = self._features[:known], self._successes[:known]
             precision = RIDGE * (_variances(features) if self._own_units else np.ones(len(self._start)))
             self.weights = _quantised(fit(features, successes, self._start, precision))
@@ -92,8 +88,7 @@ def _variances(features: Floats) -> Floats:
 
 
 def _quantised(weights: Floats) -> Floats:
-    grains: Floats = np.rint(weights * WEIGHT_GRAIN) / WEIGHT_GRAIN
-    return grains
+    return np.rint(weights * WEIGHT_GRAIN) / WEIGHT_GRAIN
 
 
 def _likely(features: Floats, weights: Floats) -> Floats:
@@ -170,7 +165,7 @@ class SuccessThreshold:
         )
         return wanted
 
-    def tell(self, through: NDArray[np.bool_]) -> None:
+    def update(self, through: NDArray[np.bool_]) -> None:
         """Adapt the threshold to which genomes (n,) of a generation became evaluations."""
         is_narrow = np.count_nonzero(through) < LEAST_SHARE * len(through)
         self.share = max(LEAST_SHARE, float(through.mean()))

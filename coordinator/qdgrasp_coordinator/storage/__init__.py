@@ -1,1 +1,1 @@
-"""What lies on a disk: folders of jobs and runs, their journals, and how they are written."""
+"""Folders of jobs and runs on disk, their journals, and the ways in which they are written."""

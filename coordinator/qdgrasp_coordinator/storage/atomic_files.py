@@ -1,4 +1,4 @@
-"""Files that hold their old bytes or their new ones, never a part of either; and disks that are full."""
+"""Files that hold their old bytes or their new ones, never a part; errors of full disks."""
 
 import errno
 import fcntl
@@ -33,13 +33,7 @@ def replace(file: Path, payload: bytes) -> None:
 
 
 def read(file: Path) -> bytes:
-    """Return the bytes of a file.
-
-    Raises
-    ------
-    FolderError
-        It cannot be read.
-    """
+    """Return the bytes of a file, or raise `FolderError`."""
     try:
         return file.read_bytes()
     except OSError as error:
@@ -63,13 +57,7 @@ def is_folder(path: Path) -> bool:
 
 
 def check_folder(path: Path) -> None:
-    """Check that there is a folder to read from.
-
-    Raises
-    ------
-    NoFolder
-        There is none.
-    """
+    """Raise `NoFolder` unless there is a folder to read from."""
     if not is_folder(path):
         raise NoFolder(path, is_there=os.path.lexists(path))
 
@@ -82,15 +70,7 @@ def create_folder(
 ) -> None:
     """Make a folder with files and empty folders in it; it appears whole or not at all.
 
-    Parameters
-    ----------
-    fill
-        Writes more files into the folder while it is being made.
-
-    Raises
-    ------
-    DiskFull, FolderError
-        It cannot be made.
+    `fill` writes more files into the folder while it is being made. Raises `DiskFull` or `FolderError`.
     """
     with writing(path), staging_folder(path) as part:
         for name, payload in files.items():
@@ -165,13 +145,7 @@ def _sweep(whole: Path) -> None:
 
 @contextmanager
 def _held(folder: Path) -> Iterator[None]:
-    """Lock a temporary folder; the kernel frees the lock when this process dies.
-
-    Raises
-    ------
-    BlockingIOError
-        Another process holds it.
-    """
+    """Lock a temporary folder, or raise `BlockingIOError`; freed when this process dies."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -191,14 +165,9 @@ def sync(path: Path) -> None:
 
 @contextmanager
 def writing(path: Path, instead: str = "") -> Iterator[None]:
-    """Turn a failure to write at or in `path` into an error that says what to do instead.
+    """Turn a failure to write at `path` into an error that says what to do instead.
 
-    Raises
-    ------
-    DiskFull
-        There is no room.
-    OutputError
-        Anything else.
+    The error is `DiskFull` for want of room, else `OutputError`.
     """
     try:
         yield

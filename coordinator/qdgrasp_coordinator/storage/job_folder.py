@@ -44,13 +44,7 @@ LOCK_INTERVAL = 0.05  # seconds between two tries
 
 @contextmanager
 def hold_lock(folder: Path, name: str = LOCK_FILE) -> Iterator[None]:
-    """Hold the lock `name` of the folder.
-
-    Raises
-    ------
-    FolderError
-        Another process holds it, or the folder cannot be written.
-    """
+    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
     with _lock_file(folder, name) as file:
         deadline = time.monotonic() + LOCK_PATIENCE
         while not _try_lock(file):
@@ -65,13 +59,7 @@ def hold_lock(folder: Path, name: str = LOCK_FILE) -> Iterator[None]:
 
 
 def check_unlocked(folder: Path, name: str = LOCK_FILE) -> None:
-    """Check that no process holds the lock `name` of the folder.
-
-    Raises
-    ------
-    FolderError
-        One does.
-    """
+    """Raise `FolderError` if a process holds the lock `name` of the folder."""
     with _lock_file(folder, name) as file:
         if not _try_lock(file):
             raise _in_use(folder, file)
@@ -114,19 +102,12 @@ class JobRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @classmethod
     def begun(cls, path: Path, name: str | None = None) -> "JobRecord":
-        """The job of a new folder at `path`; without a name it is called after the folder.
+        """Return the job of a new folder at `path`; without a name it is called after the folder.
 
-        Raises
-        ------
-        ImpossibleValue
-            The name is not of the allowed characters.
+        A name that is not of the allowed characters raises `ImpossibleValue`.
         """
         name = job_name(path.absolute().name) if name is None else Keys(name).job
         return cls(name, identity=secrets.token_hex(16))
-
-    def in_turn(self, epoch: int) -> "JobRecord":
-        """Return the same job at a coordinator's epoch."""
-        return JobRecord(self.job, epoch, self.identity or secrets.token_hex(16))
 
     @property
     def file(self) -> dict[str, bytes]:
@@ -142,13 +123,7 @@ class JobFolder:
 
     @classmethod
     def open(cls, path: Path) -> "JobFolder":
-        """The folder of a job that was begun.
-
-        Raises
-        ------
-        NoFolder, FolderError
-            There is no such folder, or no job in it.
-        """
+        """Return the folder of a job that was begun; raise `NoFolder` or `FolderError` without one."""
         atomic_files.check_folder(path)
         if not cls.is_job(path):
             raise FolderError(f"{path} holds no run and no campaign: there is no {JOB} in it.")
@@ -158,10 +133,7 @@ class JobFolder:
     def create(cls, path: Path, name: str, files: Mapping[str, bytes] = MappingProxyType({})) -> "JobFolder":
         """Begin a campaign's folder with these files beside its own; it appears whole or not at all.
 
-        Raises
-        ------
-        FolderError, DiskFull
-            The folder holds other files, or cannot be made.
+        Raises `FolderError` or `DiskFull` where the folder holds other files, or cannot be made.
         """
         OutFolder(path).check()
         atomic_files.create_folder(path, JobRecord.begun(path, name).file | dict(files), folders=[LOGS, RUNS])
@@ -210,7 +182,8 @@ class JobFolder:
 
     def set_epoch(self, epoch: int) -> None:
         """Store an epoch; it is on the disk when this returns."""
-        atomic_files.replace(self.path / JOB, msgspec.json.encode(self._job.in_turn(epoch)))
+        record = JobRecord(self.name, epoch, self.identity or secrets.token_hex(16))
+        atomic_files.replace(self.path / JOB, msgspec.json.encode(record))
 
     @property
     def endpoint(self) -> str | None:
@@ -232,21 +205,15 @@ class JobFolder:
         return self.path / LOGS
 
     def lock(self) -> AbstractContextManager[None]:
-        """Lock the folder as the only process that writes its journals; see `lock.exclusive`."""
+        """Lock the folder as the only process that writes its journals; see `hold_lock`."""
         return hold_lock(self.path)
 
     def supervise(self) -> AbstractContextManager[None]:
-        """Lock the folder as the only command that starts processes for it; see `lock.exclusive`."""
+        """Lock the folder as the only command that starts processes for it; see `hold_lock`."""
         return hold_lock(self.path, SUPERVISED)
 
     def check_not_in_use(self) -> None:
-        """Check that no process writes in this folder.
-
-        Raises
-        ------
-        FolderError
-            One does.
-        """
+        """Raise `FolderError` if a process writes in this folder."""
         check_unlocked(self.path, SUPERVISED)
         check_unlocked(self.path)
 

@@ -38,10 +38,7 @@ from qdgrasp_protocol.spec import RunSpec, from_toml
 class Journal:
     """A journal to read; opened by `Journal.open`, closed by its with-block.
 
-    Raises
-    ------
-    FolderError
-        From any method: the file is damaged.
+    Any method raises `FolderError` where the file is damaged.
     """
 
     def __init__(self, database: sqlite3.Connection, file: Path) -> None:
@@ -64,10 +61,8 @@ class Journal:
     def open(cls, folder: Path) -> "Journal":
         """Open the journal in a run's folder as it is now.
 
-        Raises
-        ------
-        FolderError
-            There is none, it is not a journal, is damaged, or is of a newer version of this package.
+        Raises `FolderError` where there is no journal, or a damaged one, or one of a newer version of this
+        package.
         """
         file = folder / FILE
         if not file.is_file():
@@ -126,25 +121,25 @@ class Journal:
 
     def rows(self, first: int, limit: int) -> Rows:
         """At most `limit` rows from number `first` on, all columns."""
-        return self.stretch(first, limit).rows
+        return self.slice(first, limit).rows
 
-    def stretch(self, first: int, limit: int) -> JournalSlice:
+    def slice(self, first: int, limit: int) -> JournalSlice:
         """Return at most `limit` rows from number `first` on, with their cost and failures."""
         self.check_whole()
         stop = min(first + limit, self.count)
         if first >= stop:
             return JournalSlice(first, self.shape.empty(0))
-        return join_slices([block.part(first, stop) for block in self._stretches(first, stop)])
+        return join_slices([block.part(first, stop) for block in self._slices(first, stop)])
 
     def blocks(self) -> Iterator[Rows]:
         """All rows in order, some thousands at a time."""
-        for stretch in self.stretches():
-            yield stretch.rows
+        for part in self.slices():
+            yield part.rows
 
-    def stretches(self) -> Iterator[JournalSlice]:
+    def slices(self) -> Iterator[JournalSlice]:
         """Yield all rows in order, some thousands at a time, with their cost and failures."""
         self.check_whole()
-        return self._stretches(0, self.count)
+        return self._slices(0, self.count)
 
     def kept(self, first: int = 0, stop: int | None = None) -> Iterator[Rows]:
         """The rows that are here from number `first` up to `stop`, some thousands at a time.
@@ -152,8 +147,8 @@ class Journal:
         All rows; where the journal is reduced, the successes with their trials, source by source.
         """
         end = self.count if stop is None else stop
-        for stretch in self._stretches(first, end):
-            yield stretch.part(first, end).rows
+        for block in self._slices(first, end):
+            yield block.part(first, end).rows
 
     def successes(self) -> Rows:
         """Return every nominal success, in order, all columns; fitness 0 included (the archive A_o)."""
@@ -170,13 +165,7 @@ class Journal:
         return self._meta().get("summary", "")
 
     def check_whole(self) -> None:
-        """Check that every row is here.
-
-        Raises
-        ------
-        FolderError
-            The journal keeps successes alone.
-        """
+        """Raise `FolderError` if the journal keeps successes alone, not every row."""
         if not self.sources:
             return
         whose = f"{len(self.sources)} runs"
@@ -197,7 +186,7 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _stretches(self, first: int, stop: int) -> Iterator[JournalSlice]:
+    def _slices(self, first: int, stop: int) -> Iterator[JournalSlice]:
         """The blocks that hold rows from `first` up to `stop`, checked to follow each other."""
         query = """SELECT first, n, cpu_seconds, crc, rows FROM blocks WHERE first < ?
             AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first"""

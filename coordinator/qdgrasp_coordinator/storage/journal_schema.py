@@ -124,15 +124,7 @@ def create_tables(database: sqlite3.Connection, identity: JournalIdentity) -> No
 
 @contextmanager
 def explaining_read_errors(file: Path) -> Iterator[None]:
-    """Turn SQLite's errors about a file that cannot be read into errors of this package.
-
-    Raises
-    ------
-    FolderError
-        It is not a database, is damaged, or may not be read.
-    DiskFull
-        There is no room for what reading it takes.
-    """
+    """Turn SQLite's errors about a file that cannot be read into `FolderError` or `DiskFull`."""
     try:
         yield
     except sqlite3.ProgrammingError:

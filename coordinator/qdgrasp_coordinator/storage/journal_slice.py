@@ -45,44 +45,38 @@ class JournalSlice:
         )
 
 
-def join_slices(stretches: Sequence[JournalSlice]) -> JournalSlice:
+def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
     """Stretches that follow each other, as one; at least one."""
-    if len(stretches) == 1:
-        return stretches[0]
-    first = stretches[0].first
+    if len(slices) == 1:
+        return slices[0]
+    first = slices[0].first
     failures = tuple(
-        Failure(row=stretch.first - first + failure.row, reason=failure.reason)
-        for stretch in stretches
-        for failure in stretch.failures
+        Failure(row=part.first - first + failure.row, reason=failure.reason)
+        for part in slices
+        for failure in part.failures
     )
-    rows = np.concatenate([stretch.rows for stretch in stretches])
-    return JournalSlice(first, rows, sum(stretch.cpu_seconds for stretch in stretches), failures)
+    rows = np.concatenate([part.rows for part in slices])
+    return JournalSlice(first, rows, sum(part.cpu_seconds for part in slices), failures)
 
 
-def slice_to_message(stretch: JournalSlice, run: str, epoch: int, shape: RowShape) -> Recordable:
-    """Pack a stretch of a run's journal into a message."""
+def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) -> Recordable:
+    """Pack a part of a run's journal into a message."""
     return Recordable(
         epoch=epoch,
         run=run,
-        first=stretch.first,
-        n=len(stretch),
+        first=part.first,
+        n=len(part),
         genes=shape.genes,
         joints=shape.joints,
         descriptors=shape.descriptors,
-        columns=pack(stretch.rows, COLUMNS),
-        cpu_seconds=stretch.cpu_seconds,
-        failures=list(stretch.failures),
+        columns=pack(part.rows, COLUMNS),
+        cpu_seconds=part.cpu_seconds,
+        failures=list(part.failures),
     )
 
 
 def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
-    """The stretch in a message.
-
-    Raises
-    ------
-    MessageError
-        Its rows are not of this shape, or it tells of a failure in a row that it does not hold.
-    """
+    """Return the slice in a message; raise `MessageError` for other rows or unknown failed rows."""
     came = RowShape(message.genes, message.joints, message.descriptors)
     if came != shape:
         raise MessageError(f"expected rows of {shape}, got {came}")

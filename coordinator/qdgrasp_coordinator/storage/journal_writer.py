@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import (
     FILE,
@@ -23,7 +24,6 @@ from qdgrasp_coordinator.storage.journal_schema import (
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.errors import DiskFull, FolderError
-from qdgrasp_protocol.rows import Outcome
 
 SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 
@@ -33,13 +33,7 @@ class JournalWriter(Journal):
 
     @classmethod
     def create(cls, folder: Path, identity: JournalIdentity) -> "JournalWriter":
-        """Begin the journal of a run; the file appears whole or not at all.
-
-        Raises
-        ------
-        DiskFull
-            There is no room.
-        """
+        """Begin the journal of a run; the file appears whole or not at all."""
         part = folder / f"{FILE}.part"
         part.unlink(missing_ok=True)
         with explaining_write_errors(folder):
@@ -67,33 +61,21 @@ class JournalWriter(Journal):
                 database.close()
                 raise
 
-    def begin_turn(self, epoch: int, now: float) -> None:
-        """Record that the coordinator of an epoch opened the run.
-
-        Parameters
-        ----------
-        now
-            [s since 1970].
-        """
+    def begin_epoch(self, epoch: int, now: float) -> None:
+        """Record that the coordinator of an epoch opened the run at `now` [s since 1970]."""
         with self._transaction():
             self._database.execute("INSERT OR IGNORE INTO turns VALUES (?, ?, ?)", (epoch, now, now))
 
-    def append(self, stretch: JournalSlice, epoch: int, now: float) -> None:
+    def append(self, part: JournalSlice, epoch: int, now: float) -> None:
         """Add the next rows: all of them, durably, or none.
 
-        Raises
-        ------
-        DiskFull
-            There is no room; nothing was added.
-        FolderError
-            The file cannot be written for another reason; nothing was added.
-        ValueError
-            These are not the next rows.
+        Raises `DiskFull`, or `FolderError` where the file cannot be written, or `ValueError` for other rows
+        than the next ones.
         """
-        if stretch.first != self.count:
-            raise ValueError(f"row {self.count} is next, got {stretch.first}")
+        if part.first != self.count:
+            raise ValueError(f"row {self.count} is next, got {part.first}")
         with self._transaction():
-            insert_rows(self._database, stretch, epoch)
+            insert_rows(self._database, part, epoch)
             self._database.execute("UPDATE turns SET last = max(last, ?) WHERE epoch = ?", (now, epoch))
 
     def set_platform(self, platform: dict[str, str]) -> None:
@@ -121,22 +103,21 @@ class JournalWriter(Journal):
                 raise
 
 
-def insert_rows(database: sqlite3.Connection, stretch: JournalSlice, epoch: int) -> None:
+def insert_rows(database: sqlite3.Connection, part: JournalSlice, epoch: int) -> None:
     """Add rows to the tables of a journal, within a transaction."""
-    blob = stretch.rows.tobytes()
-    block = (stretch.first, len(stretch), epoch, stretch.cpu_seconds, zlib.crc32(blob), blob)
-    errors = [(stretch.first + failure.row, failure.reason) for failure in stretch.failures]
+    blob = part.rows.tobytes()
+    block = (part.first, len(part), epoch, part.cpu_seconds, zlib.crc32(blob), blob)
+    errors = [(part.first + failure.row, failure.reason) for failure in part.failures]
     database.execute("INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)", block)
-    database.executemany(SUCCESS, _success_columns(stretch))
+    database.executemany(SUCCESS, _success_columns(part))
     database.executemany("INSERT INTO errors VALUES (?, ?)", errors)
 
 
-def _success_columns(stretch: JournalSlice) -> list[tuple[float, ...]]:
-    """Return the entries that the table of successes gets for a stretch."""
-    is_nominal = stretch.rows["trial"] == 0
-    at = np.flatnonzero(is_nominal & (stretch.rows["outcome"] >= Outcome.DROPPED))
-    rows = stretch.rows[at]
-    columns = [stretch.first + at]
+def _success_columns(part: JournalSlice) -> list[tuple[float, ...]]:
+    """Return the entries that the table of successes gets for a slice."""
+    at = np.flatnonzero(success_mask(part.rows))
+    rows = part.rows[at]
+    columns = [part.first + at]
     columns += [rows[name] for name in ("generation", "index", "trial", "outcome", "fitness")]
     columns += [*rows["base_to_object"].T, *cells(rows["descriptor"][:, :3]).T]
     columns += [rows[name] for name in ("nu", "contacts", "penetration")]
@@ -155,14 +136,9 @@ def explaining_write_errors(folder: Path) -> Iterator[None]:
 
 
 class OpenJournals:
-    """Opens journals as they are needed, and closes the one that was not used for longest.
+    """Opens at most `most` journals as they are needed; closes the one unused for longest.
 
     A context manager that closes them all. Raises as `JournalWriter.open` and `JournalWriter.create`.
-
-    Parameters
-    ----------
-    most
-        How many may be open; at least 1.
     """
 
     def __init__(self, most: int) -> None:

@@ -54,13 +54,7 @@ class Output(ABC):
     """Advice for the case that it cannot be written."""
 
     def check(self) -> None:
-        """Check that it can be written, before the work for it is begun.
-
-        Raises
-        ------
-        OutputError
-            Something else is in its place, or on the way to it.
-        """
+        """Check that it can be written, before the work for it is begun; else raise `OutputError`."""
         with atomic_files.writing(self.path, self.instead):
             if self.path == STDOUT:
                 raise self._refused("would be standard output, where no output goes")
@@ -98,12 +92,8 @@ class WholeOutput(Output):
     def writing(self) -> Iterator[Path]:
         """Give a with-block a path to write to; what it wrote becomes the output at once.
 
-        Where the block fails nothing is left of it, and what was there before is as it was.
-
-        Raises
-        ------
-        DiskFull, OutputError
-            It cannot be written.
+        Where the block fails nothing is left of it, and what was there before is as it was. Raises `DiskFull`
+        or `OutputError` where it cannot be written.
         """
         self.check()
         with atomic_files.writing(self.path, self.instead), atomic_files.staging_folder(self.path) as part:
@@ -228,7 +218,7 @@ def _what(path: Path) -> str:
 
 
 def is_drawn_here(path: Path) -> bool:
-    """Whether a file is a PNG that was drawn here."""
+    """Return whether a file is a PNG that was drawn here."""
     with path.open("rb") as file:
         head = file.read(PNG_HEAD)
     return head.startswith(b"\x89PNG") and b"tEXtSoftware\0qdgrasp" in head

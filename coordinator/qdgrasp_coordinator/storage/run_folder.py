@@ -29,7 +29,7 @@ from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec,
 from qdgrasp_protocol.text import first_few
 
 VERSION = "qdgrasp"
-"""The version of this package: recorded and told, not compared. The evaluation has its own digest."""
+"""The version of this package: recorded and shown, not compared."""
 
 
 class PlatformDiffers(Refused):
@@ -91,17 +91,9 @@ class RunFolder:
     ) -> "RunFolder":
         """Begin the folder of a run that is a job of its own; it appears whole or not at all.
 
-        Parameters
-        ----------
-        bundle
-            The scene; None: it is added later (`add_bundle`).
-        job
-            The job's name; None: the folder's name, reduced to the allowed characters.
-
-        Raises
-        ------
-        FolderError
-            The folder holds another run or other files, or cannot be made.
+        Without a bundle, the scene is added later (`add_bundle`); without a job's name, it is the folder's,
+        reduced to the allowed characters. Raises `FolderError` where the folder holds another run or other
+        files, or cannot be made.
         """
         cls.check_free(path)
         atomic_files.create_folder(
@@ -119,13 +111,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
-        """The folder of a run that was begun.
-
-        Raises
-        ------
-        NoFolder, FolderError
-            There is no such folder, or no run in it.
-        """
+        """Return the folder of a run that was begun; raise `NoFolder` or `FolderError` without one."""
         atomic_files.check_folder(path)
         if not cls.is_run(path):
             raise FolderError(_no_run_reason(path))
@@ -140,10 +126,8 @@ class RunFolder:
     def check_free(path: Path) -> None:
         """Check that a run of its own can be begun at `path`: nothing is there, or an empty folder.
 
-        Raises
-        ------
-        FolderError
-            Something is there, or on the way to it, or it is among the runs of a campaign or in another run.
+        Raises `FolderError` where something is there, or on the way to it, or it is among the runs of a
+        campaign or in another run.
         """
         OutFolder(path, force=True, is_kind=RunFolder.is_run).check()
         RunFolder.check_outside(path)
@@ -161,13 +145,7 @@ class RunFolder:
 
     @staticmethod
     def check_outside(path: Path) -> None:
-        """Check that `path` is not in the folder of a run.
-
-        Raises
-        ------
-        FolderError
-            It is.
-        """
+        """Raise `FolderError` if `path` is in the folder of a run."""
         for folder in path.resolve().parents:
             if RunFolder.is_run(folder):
                 raise FolderError(
@@ -207,13 +185,7 @@ class RunFolder:
         atomic_files.replace(self.path / SCENE, payload)
 
     def scene(self) -> Scene:
-        """The scene.
-
-        Raises
-        ------
-        FolderError
-            It is missing or damaged.
-        """
+        """Return the scene; raise `FolderError` if it is missing or damaged."""
         try:
             payload = atomic_files.read(self.path / SCENE)
             messages.check_bundle(payload)
@@ -225,14 +197,10 @@ class RunFolder:
             ) from None
 
     def journal(self) -> Journal:
-        """The journal as it is now, for a with-block; empty before a recorder opened the run.
+        """Return the journal as it is now, for a with-block; empty before a recorder opened the run.
 
-        Raises
-        ------
-        FolderError
-            It cannot be read.
-        OtherRun
-            It is of another run than the spec or the scene here.
+        Raises `FolderError` where it cannot be read, and `OtherRun` where it is of another run than the spec
+        or the scene here.
         """
         if (self.path / JOURNAL).exists():
             journal = Journal.open(self.path)
@@ -249,10 +217,10 @@ class RunFolder:
         """Check that a journal is of this folder's spec, with any budget, and of its scene."""
         file = self.path / JOURNAL
         if journal.spec_text != atomic_files.read(self.path / SPEC).decode(errors="replace"):
-            found, told = journal.spec, self.spec
-            if other := differences(found, told):
+            recorded, spec = journal.spec, self.spec
+            if other := differences(recorded, spec):
                 raise OtherRun(
-                    file, self.path / SPEC, _spec_in_words(found, other), _spec_in_words(told, other)
+                    file, self.path / SPEC, _spec_in_words(recorded, other), _spec_in_words(spec, other)
                 )
         if self.has_bundle() and (digest := self.bundle().digest) != journal.scene:
             scene, spec = self.scene(), journal.spec
@@ -278,8 +246,8 @@ def _job_path(path: Path) -> Path:
 
 def _spec_in_words(spec: RunSpec, keys: Iterable[str]) -> str:
     """Describe a run by the keys in which it differs from another one."""
-    told = [f"{key} {str(getattr(spec, key))[:LONGEST]}" for key in keys]
-    return f"a run with {first_few(told, SHOWN)}"
+    values = [f"{key} {str(getattr(spec, key))[:LONGEST]}" for key in keys]
+    return f"a run with {first_few(values, SHOWN)}"
 
 
 def _no_run_reason(path: Path) -> str:

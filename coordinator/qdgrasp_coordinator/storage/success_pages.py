@@ -32,10 +32,10 @@ class RowContext:
     def synergies(self, rows: Rows, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the labels (n,) of rows by journal number (n,), or `NO_SYNERGY`."""
         ends = [end for end, _ in self.parts]
-        whose = np.minimum(np.searchsorted(ends, numbers, side="right"), len(ends) - 1)
+        part_of = np.minimum(np.searchsorted(ends, numbers, side="right"), len(ends) - 1)
         labels = np.full(len(rows), NO_SYNERGY)
-        for part in np.unique(whose).tolist():
-            labels[whose == part] = self.parts[part][1].labels(rows["genome"][whose == part])
+        for part in np.unique(part_of).tolist():
+            labels[part_of == part] = self.parts[part][1].labels(rows["genome"][part_of == part])
         return labels
 
     def etas(self, rows: Rows) -> NDArray[np.float64]:
@@ -79,39 +79,39 @@ def page_limit(joints: int) -> int:
     return min(MOST_SUCCESSES, MOST_BYTES // success_dtype(joints).itemsize)
 
 
-def success_table(rows: Rows, joints: int, **told: NDArray[np.number]) -> SuccessTable:
-    """Return successes (n,) as finds (n,); `told` holds the columns number, synergy and eta."""
+def success_table(rows: Rows, joints: int, **columns: NDArray[np.number]) -> SuccessTable:
+    """Return successes (n,) as finds (n,); the others are the columns number, synergy and eta."""
     finds = np.zeros(len(rows), dtype=success_dtype(joints))
     for column in SUCCESS_COLUMNS:
-        values = told[column.name] if column.name in told else rows[column.name]
+        values = columns[column.name] if column.name in columns else rows[column.name]
         finds[column.name] = values[..., :3] if column.name == "descriptor" else values
     return finds
 
 
-def page_to_message(
-    finds: SuccessTable, upto: int, *, run: str, scene: str, began: float, rows: int, joints: int
-) -> SuccessPage:
-    """Pack finds up to row `upto` of the journal, described by the other arguments."""
-    columns = {column.name: np.ascontiguousarray(finds[column.name]).tobytes() for column in SUCCESS_COLUMNS}
+def success_columns(finds: SuccessTable) -> dict[str, bytes]:
+    """Return the columns of successes as bytes, by name."""
+    return {column.name: np.ascontiguousarray(finds[column.name]).tobytes() for column in SUCCESS_COLUMNS}
+
+
+def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) -> SuccessPage:
+    """Pack successes up to row `upto` of a run's journal."""
     return SuccessPage(
         run=run,
-        scene=scene,
-        began=began,
+        scene=journal.scene,
+        began=journal.created,
         next=upto,
-        rows=rows,
+        rows=journal.count,
         n=len(finds),
-        joints=joints,
-        columns=columns,
+        joints=journal.shape.joints,
+        columns=success_columns(finds),
     )
 
 
 def page_from_message(message: SuccessPage) -> SuccessTable:
-    """The finds (n,) in a message.
+    """Return the successes (n,) in a message.
 
-    Raises
-    ------
-    MessageError
-        A column is missing, of the wrong length, or holds a number that is not finite.
+    Raises `MessageError` where a column is missing, of the wrong length, or holds a number that is not
+    finite.
     """
     dtype = success_dtype(message.joints)
     finds = np.zeros(message.n, dtype=dtype)
@@ -132,19 +132,27 @@ def _width(column: RowColumn, joints: int) -> tuple[int, ...]:
     return (int(column.width) if column.width.isdigit() else joints,)
 
 
-SCANNED = 1 << 16  # Journal rows read for one page; more where the first success's trials lie farther off
+ROWS_SCANNED = 1 << 16  # Journal rows read for a page; more where the first success's trials lie farther off
 NO_CONTEXT = RowContext()
 
 
-def success_page(journal: Journal, first: int, legend: RowContext = NO_CONTEXT) -> tuple[SuccessTable, int]:
+def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT) -> tuple[SuccessTable, int]:
     """Some successes (n,) from journal number `first` on, and the number from which to read on.
 
     Where a success at the end of the journal lacks trials, it is given without eta, and the number to read on
     from is that of the first such success.
     """
-    rows, is_last = _scanned_rows(journal, first, legend)
-    finds = _successes_of(rows, first, legend, journal.shape.joints)
-    lacking = finds["number"][finds["eta"] < 0] if legend.trials else finds["number"][:0]
+    rows, is_last = _scanned_rows(journal, first, context)
+    is_success = success_mask(rows)
+    numbers, successes = first + np.flatnonzero(is_success), rows[is_success]
+    finds = success_table(
+        successes,
+        journal.shape.joints,
+        number=numbers,
+        synergy=context.synergies(successes, numbers),
+        eta=context.etas(rows),
+    )
+    lacking = finds["number"][finds["eta"] < 0] if context.trials else finds["number"][:0]
     upto = int(lacking[0]) if len(lacking) else first + len(rows)
     if not is_last:
         finds = finds[finds["number"] < upto]
@@ -153,22 +161,14 @@ def success_page(journal: Journal, first: int, legend: RowContext = NO_CONTEXT) 
     return finds, upto
 
 
-def _scanned_rows(journal: Journal, first: int, legend: RowContext) -> tuple[Rows, bool]:
+def _scanned_rows(journal: Journal, first: int, context: RowContext) -> tuple[Rows, bool]:
     """Return rows with all trials of the first success, and whether they are the last."""
-    count, span = journal.count, SCANNED
+    count, span = journal.count, ROWS_SCANNED
     while True:
         stop = min(count, first + span)
         kept = journal.kept(first, stop) if first < stop else ()
         rows = np.concatenate([journal.shape.empty(0), *kept])
         is_last = stop >= count
-        if is_last or not legend.trials or (legend.etas(rows)[:1] >= 0).all():
+        if is_last or not context.trials or (context.etas(rows)[:1] >= 0).all():
             return rows, is_last
         span *= 2
-
-
-def _successes_of(rows: Rows, first: int, legend: RowContext, joints: int) -> SuccessTable:
-    """The successes among consecutive rows, of which the first has the number `first`."""
-    here = np.flatnonzero(success_mask(rows))
-    numbers, successes = first + here, rows[here]
-    synergy = legend.synergies(successes, numbers)
-    return success_table(successes, joints, number=numbers, synergy=synergy, eta=legend.etas(rows))

@@ -188,7 +188,7 @@ def test_a_success_that_is_taken_is_not_among_the_failures_too(run: RunFolder, t
 
 def test_a_run_in_progress_gives_what_it_has_by_now(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
     with JournalWriter.open(run.path) as journal:
-        journal.begin_turn(2, 2.0)
+        journal.begin_epoch(2, 2.0)
         export_run(run, tmp_path / "one", "parquet")
     assert len(READERS["parquet"](tmp_path / "one").matrices) == 4
 

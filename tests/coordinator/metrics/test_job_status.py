@@ -1,4 +1,4 @@
-"""What is shown, as it travels."""
+"""Published status, as it travels."""
 
 import re
 from pathlib import Path

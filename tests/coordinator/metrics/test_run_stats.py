@@ -1,5 +1,3 @@
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import random_rows
@@ -10,11 +8,11 @@ from qdgrasp_coordinator.metrics.run_stats import (
     BARREN_GENOMES,
     CURVE_POINTS,
     NO_TOTALS,
+    CurvePoint,
     CurveRecorder,
     RunCounter,
     count_rows,
     evaluation_mask,
-    run_totals,
 )
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
@@ -165,7 +163,7 @@ def test_totals_are_the_sums_of_what_tallies_count() -> None:
         rows["outcome"][:5], rows["proposals"] = Outcome.DEAD_END, 3
         tally = RunCounter(100, "redraw")
         tally.count(rows)
-        found += run_totals(tally)
+        found += tally.totals
     assert (found.proposals, found.dead_ends, found.trials) == (300, 10, 0)
     assert found.evaluations == found.simulated == 90 - found.overlaps
     assert found.cells <= found.successes < found.simulated
@@ -173,27 +171,18 @@ def test_totals_are_the_sums_of_what_tallies_count() -> None:
     assert found.overlaps > 0
 
 
-@dataclass(frozen=True)
-class Counts:
-    evaluations: int
-    proposals: int = 0
-    successes: int = 0
-    cells: int = 0
-    robust: int = 0
-
-
-def noted(generations: int) -> list[int]:
-    trail = CurveRecorder()
+def recorded(generations: int) -> list[int]:
+    recorder = CurveRecorder()
     for generation in range(1, generations + 1):
-        trail.note(Counts(generation))
-    return [point.evaluations for point in trail.curve("run").points]
+        recorder.record(CurvePoint(generation, 0, 0, 0, 0))
+    return [point.evaluations for point in recorder.points]
 
 
 @pytest.mark.parametrize(
     "generations", [0, 1, CURVE_POINTS, CURVE_POINTS + 1, CURVE_POINTS + 2, 3 * CURVE_POINTS, 10_000]
 )
 def test_a_curve_has_evenly_spaced_points_from_the_first_to_the_last_or_nearly(generations: int) -> None:
-    points = noted(generations)
+    points = recorded(generations)
     steps = {after - before for before, after in zip([0, *points], points, strict=False)}
     assert len(steps) <= 1
     assert len(points) == min(generations, len(points)) <= CURVE_POINTS
@@ -202,7 +191,7 @@ def test_a_curve_has_evenly_spaced_points_from_the_first_to_the_last_or_nearly(g
 
 def test_thinning_keeps_at_least_half_of_the_points() -> None:
     assert all(
-        len(noted(generations)) >= CURVE_POINTS // 2
+        len(recorded(generations)) >= CURVE_POINTS // 2
         for generations in range(CURVE_POINTS, 3 * CURVE_POINTS, 7)
     )
 
@@ -218,6 +207,6 @@ def test_a_run_that_is_replayed_has_the_same_curve_whatever_pieces_it_comes_in()
     again = plan.pipeline()
     for part in np.array_split(np.concatenate(journal), 7):
         again.replay(part)
-    curve = pipeline.trail.curve("run")
-    assert again.trail.curve("run") == curve
+    curve = pipeline.tally.curve("run")
+    assert again.tally.curve("run") == curve
     assert curve.points[-1].evaluations == 100

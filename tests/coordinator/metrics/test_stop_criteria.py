@@ -1,4 +1,4 @@
-"""What ends a run besides its budget."""
+"""Ends of a run besides its budget."""
 
 import itertools
 from dataclasses import replace

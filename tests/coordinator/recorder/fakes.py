@@ -1,4 +1,4 @@
-"""What a recorder sees of a coordinator, and recorders to be seen by it."""
+"""A coordinator as a recorder sees it, and recorders to be seen by it."""
 
 import hashlib
 import signal
@@ -47,7 +47,7 @@ def anonymous(opened: Opened) -> Opened:
 
 
 class FakeCoordinator:
-    """What a recorder sees of a coordinator."""
+    """A coordinator as a recorder sees it."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -77,7 +77,7 @@ class FakeCoordinator:
         return opened
 
     def question(self, toml: str = to_toml(SPEC), **changes: object) -> OpenRun:
-        """What is asked of the recorder when the run is opened."""
+        """The query that opens the run."""
         values: dict[str, object] = {"run": "run", "spec": toml.encode(), "scene": BUNDLE.digest}
         values |= {"genes": SHAPE.genes, "joints": SHAPE.joints, "descriptors": SHAPE.descriptors}
         return OpenRun(**(values | changes))  # type: ignore[arg-type]

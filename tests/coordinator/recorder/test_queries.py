@@ -156,7 +156,7 @@ def all_finds(network: MemoryNetwork, run: str = "run") -> tuple[list[int], int]
 def test_every_success_is_shown_once_and_by_its_number(
     network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(success_pages, "SCANNED", 70)
+    monkeypatch.setattr(success_pages, "ROWS_SCANNED", 70)
     with recording(network, path):
         coordinator.open()
         assert all_finds(network) == ([], 1)

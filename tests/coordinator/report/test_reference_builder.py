@@ -58,7 +58,7 @@ class Runs:
         with JournalWriter.create(
             folder.path, JournalIdentity("run", to_toml(spec), bundle.digest, SHAPE)
         ) as journal:
-            journal.begin_turn(1, 0.0)
+            journal.begin_epoch(1, 0.0)
             for first in range(len(rows)):
                 journal.append(JournalSlice(first, rows[first : first + 1]), 1, 0.0)
         self.made.append(folder)

@@ -60,12 +60,12 @@ class Poses:
 
     @property
     def depths(self) -> np.ndarray:
-        """How far the fingers reach over the surface, 0..1; outside of that no pose."""
+        """Reach of the fingers over the surface, 0 to 1; outside of that no pose."""
         return 1 - (self.distances - PALM) / DEEPEST
 
     @property
     def skews(self) -> np.ndarray:
-        """How badly the fingers lie along the box, 0 and up."""
+        """Misalignment of the fingers along the box, 0 and up."""
         along = np.abs(self.asides).max(axis=-1)
         return np.arccos(np.clip(along, -1, 1)) / 0.8 + np.arccos(self.facing) / 1.2
 
@@ -137,7 +137,7 @@ def play(
 
 
 def covered(rows: Rows) -> int:
-    """How many cells hold a success."""
+    """Number of cells that hold a success."""
     found = rows[rows["outcome"] >= Outcome.DROPPED]["descriptor"][:, :3]
     return len(np.unique(cells(found), axis=0))
 

@@ -268,32 +268,32 @@ class Found:
 
     def __init__(self) -> None:
         self.frontier = Frontier(BOX, 0.1)
-        self.hints = EliteStore(self.frontier.size, (0.0, 0.0, 1.0), 0)
-        self.spare = RetryBudget(self.frontier, self.hints)
+        self.elites = EliteStore(self.frontier.size, (0.0, 0.0, 1.0), 0)
+        self.retries = RetryBudget(self.frontier, self.elites)
 
     def succeed(self, positions: np.ndarray, outcome: Outcome) -> Places:
-        """Hear of a success in each of the cells at `positions` (n, 3), after one try in each."""
+        """Add a success in each of the cells at `positions` (n, 3), after one try in each."""
         rows = RowShape(genes=15, joints=1, descriptors=9).empty(len(positions))
         rows["outcome"], rows["base_to_object"][:, 6] = outcome, 1
         places = self.frontier.places(positions)
-        self.frontier.aim(places)
-        self.frontier.succeed(places, positions - [0.0, 0.0, 0.05])
-        self.hints.learn(places, rows)
+        self.frontier.count_tries(places)
+        self.frontier.add_successes(places, positions - [0.0, 0.0, 0.05])
+        self.elites.offer(places, rows)
         if outcome == Outcome.HELD:
-            self.spare.succeed(places)
+            self.retries.add_robust(places)
         return places
 
     def ask(self, generation: int = 0) -> Places:
-        return self.spare.ask(generation, keyed_generator(0, "targets", generation))
+        return self.retries.ask(generation, keyed_generator(0, "targets", generation))
 
     def tell(self, generation: int, *, robust: bool, counts: bool = True) -> None:
-        """Hear of a generation at whose frontier nothing succeeded."""
-        self.spare.tell(generation, np.zeros(10, np.bool_), np.tile([counts, robust], (3, 1)))
+        """Tell a generation at whose frontier nothing succeeded."""
+        self.retries.tell(generation, np.zeros(10, np.bool_), np.tile([counts, robust], (3, 1)))
 
     def frontier_gives(self, share: float) -> None:
-        """Hear of many generations of ten tries in empty cells."""
+        """Tell many generations of ten tries in empty cells."""
         for _ in range(100):
-            self.spare.tell(-1, np.arange(10) < share * 10, np.zeros((0, 2), np.bool_))
+            self.retries.tell(-1, np.arange(10) < share * 10, np.zeros((0, 2), np.bool_))
 
 
 @pytest.fixture
@@ -310,21 +310,21 @@ def around(n: int) -> np.ndarray:
 def test_a_weak_cell_is_worth_the_share_of_its_neighbours_that_are_robust(found: Found, n: int) -> None:
     found.succeed(around(n), Outcome.HELD)
     weak = found.succeed(MIDDLE, Outcome.SHAKEN)
-    assert found.spare.worth(weak).tolist() == [n / 26]
+    assert found.retries.worth(weak).tolist() == [n / 26]
 
 
 def test_a_cell_that_is_robust_again_counts_once(found: Found) -> None:
     weak = found.succeed(MIDDLE, Outcome.SHAKEN)
     for _ in range(3):
         found.succeed(np.repeat(around(1), 2, axis=0), Outcome.HELD)
-    assert found.spare.worth(weak).tolist() == [1 / 26]
+    assert found.retries.worth(weak).tolist() == [1 / 26]
 
 
 def test_every_try_makes_the_next_one_less_worth(found: Found) -> None:
     found.succeed(around(26), Outcome.HELD)
     weak = found.succeed(MIDDLE, Outcome.SHAKEN)
-    found.frontier.aim(weak)
-    assert found.spare.worth(weak).tolist() == [1 / 2]
+    found.frontier.count_tries(weak)
+    assert found.retries.worth(weak).tolist() == [1 / 2]
 
 
 @pytest.mark.parametrize(("share", "tries"), [(1.0, 0), (0.4, 0), (0.3, 1), (0.0, 1)])
@@ -357,7 +357,7 @@ def test_the_most_promising_go_first_and_no_more_than_half_of_what_the_frontier_
     found.frontier_gives(0.0)
     asked = found.ask()
     assert 4 <= len(asked) <= RETRY_SHARE * 10
-    assert found.spare.worth(asked).min() >= np.sort(found.spare.worth(weak))[-len(asked)]
+    assert found.retries.worth(asked).min() >= np.sort(found.retries.worth(weak))[-len(asked)]
     assert len(np.unique(asked)) == len(asked)
 
 
@@ -369,14 +369,16 @@ def test_what_tries_gave_corrects_what_they_promise(found: Found, gave: float) -
     for generation in range(200):
         assert len(found.ask(generation)) == 1
         found.tell(generation, robust=generation < gave * 200)
-    assert found.spare.worth(weak)[0] == pytest.approx((PRIOR_PROMISES + gave * 200) / (PRIOR_PROMISES + 200))
+    assert found.retries.worth(weak)[0] == pytest.approx(
+        (PRIOR_PROMISES + gave * 200) / (PRIOR_PROMISES + 200)
+    )
 
 
-def test_rows_that_no_spare_try_asked_for_correct_nothing(found: Found) -> None:
+def test_rows_that_no_retry_asked_for_correct_nothing(found: Found) -> None:
     found.succeed(around(26), Outcome.HELD)
     weak = found.succeed(MIDDLE, Outcome.SHAKEN)
     found.tell(0, robust=False)
-    assert found.spare.worth(weak).tolist() == [1.0]
+    assert found.retries.worth(weak).tolist() == [1.0]
 
 
 def test_tries_that_do_not_count_correct_nothing(found: Found) -> None:
@@ -385,7 +387,7 @@ def test_tries_that_do_not_count_correct_nothing(found: Found) -> None:
     found.frontier_gives(0.0)
     assert len(found.ask()) == 1
     found.tell(0, robust=False, counts=False)
-    assert found.spare.worth(weak).tolist() == [1.0]
+    assert found.retries.worth(weak).tolist() == [1.0]
 
 
 def test_without_a_value_nothing_is_tried_again(found: Found, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,12 +26,12 @@ def frontier() -> Frontier:
 def succeed(frontier: Frontier, positions) -> None:
     """Successes at `positions` that look at points 5 cm below."""
     positions = np.asarray(positions, float)
-    frontier.succeed(frontier.places(positions), positions - [0, 0, 0.05])
+    frontier.add_successes(frontier.places(positions), positions - [0, 0, 0.05])
 
 
 def equals(frontier: Frontier) -> Places:
     """Six cells that are equally far from the only success and what it looks at."""
-    frontier.succeed(frontier.places(MIDDLE), MIDDLE)
+    frontier.add_successes(frontier.places(MIDDLE), MIDDLE)
     return frontier.places(BESIDE)
 
 
@@ -87,9 +87,9 @@ def test_the_edge_ends_at_the_box(frontier: Frontier) -> None:
 def test_a_try_costs_more_than_a_dead_end(frontier: Frontier) -> None:
     places = equals(frontier)[:3]
     tried = frontier.worth(places)[0] / 2
-    frontier.aim(places)
+    frontier.count_tries(places)
     assert frontier.worth(places).tolist() == pytest.approx([tried] * 3)
-    frontier.fail(places[:1])
+    frontier.count_dead_ends(places[:1])
     assert frontier.worth(places).tolist() == pytest.approx([tried * 2 / 1.5, tried, tried])
 
 
@@ -101,7 +101,7 @@ def test_the_best_are_those_with_most_neighbours_and_fewest_tries(frontier: Fron
     )
     compared = np.concatenate([between, level])
     assert frontier.best(1, generator(), compared).tolist() == between.tolist()
-    frontier.aim(np.repeat(between, 2))
+    frontier.count_tries(np.repeat(between, 2))
     assert between not in frontier.best(3, generator(), compared)
 
 
@@ -130,8 +130,8 @@ def test_a_dead_end_is_not_tried_for_ever(frontier: Frontier) -> None:
     times: dict[int, int] = {}
     for number in range(104):
         best = frontier.best(5, generator(number), among)
-        frontier.aim(best)
-        frontier.fail(best)
+        frontier.count_tries(best)
+        frontier.count_dead_ends(best)
         for place in best.tolist():
             times[place] = times.get(place, 0) + 1
     assert max(times.values()) - min(times.values()) <= 1
@@ -139,10 +139,10 @@ def test_a_dead_end_is_not_tried_for_ever(frontier: Frontier) -> None:
 
 def test_the_nearest_contact_point_beside_a_cell_counts(frontier: Frontier) -> None:
     below, above = np.array([[0.0, 0, -0.05]]), np.array([[0.0, 0, 0.03]])
-    frontier.succeed(frontier.places(MIDDLE), below)
+    frontier.add_successes(frontier.places(MIDDLE), below)
     cell = frontier.places([[0.0, 0, 0.01]])
     assert frontier.features(cell)[0] == pytest.approx([0.6, 0.36, 1 / 26, 1])
-    frontier.succeed(frontier.places([[0.01, 0, 0.0]]), above)
+    frontier.add_successes(frontier.places([[0.01, 0, 0.0]]), above)
     assert frontier.features(cell)[0] == pytest.approx([0.2, 0.04, 2 / 26, 1])
 
 
@@ -162,14 +162,14 @@ def test_cells_that_no_contact_point_is_near_or_far_enough_from_are_not_aimed_at
     random = np.random.default_rng(0)
     everywhere, some = Frontier(BOX, REACH), Frontier(BOX, REACH, (0.025, 0.035))
     for frontier in (everywhere, some):
-        frontier.succeed(frontier.places(np.zeros((1, 3))), np.array([[0.0, 0.0, -0.03]]))
+        frontier.add_successes(frontier.places(np.zeros((1, 3))), np.array([[0.0, 0.0, -0.03]]))
     assert set(some.edge) == set(everywhere.edge)
     centres = some.centres(some.best(26, random))
     distances = np.linalg.norm(centres - [0.0, 0.0, -0.03], axis=1)
     assert 0 < len(centres) < 26
     assert ((distances >= 0.025) & (distances <= 0.035)).all()
     assert len(everywhere.best(26, random)) == 26
-    some.succeed(some.places(np.array([[0.0, 0.0, 0.02]])), np.array([[0.0, 0.0, -0.015]]))
+    some.add_successes(some.places(np.array([[0.0, 0.0, 0.02]])), np.array([[0.0, 0.0, -0.015]]))
     assert len(some.best(100, random)) > len(centres)
 
 
@@ -187,7 +187,7 @@ def rows(outcomes: list[int], fitness: list[float] | None = None) -> Rows:
     return made
 
 
-def hints(axis: tuple[float, float, float] = (0, 0, 1)) -> EliteStore:
+def elite_store(axis: tuple[float, float, float] = (0, 0, 1)) -> EliteStore:
     return EliteStore(5000, axis, POSTURE)
 
 
@@ -196,15 +196,15 @@ def of(places: list[int]) -> np.ndarray:
 
 
 def test_a_place_passes_on_its_best_success() -> None:
-    kept, told = hints(), rows([Outcome.SHAKEN, Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED])
-    kept.learn(of([7, 7, 7, 9]), told)
+    kept, told = elite_store(), rows([Outcome.SHAKEN, Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED])
+    kept.offer(of([7, 7, 7, 9]), told)
     assert kept.points(of([9, 7])).tolist() == told["surface_point"][[3, 1]].tolist()
     assert kept.postures(of([7])) == pytest.approx(told["genome"][1:2, -POSTURE:])
     assert len(kept) == 2
 
 
 def test_a_better_one_replaces_it_and_an_equal_one_does_not() -> None:
-    kept = hints()
+    kept = elite_store()
     for outcome, expected in [
         (Outcome.SHAKEN, 0),
         (Outcome.SHAKEN, 0),
@@ -213,38 +213,38 @@ def test_a_better_one_replaces_it_and_an_equal_one_does_not() -> None:
     ]:
         told = rows([outcome] * 4)[3:]
         told["surface_point"] += 0 if len(kept) == 0 else 9
-        kept.learn(of([7]), told)
+        kept.offer(of([7]), told)
         assert kept.points(of([7]))[0, 0] == 9 + expected
     assert len(kept) == 1
 
 
 def test_of_equal_outcomes_the_fitter_is_the_better() -> None:
-    kept, told = hints(), rows([Outcome.HELD] * 3, [150.0, 180.0, 180.0])
-    kept.learn(of([1, 1, 1]), told)
+    kept, told = elite_store(), rows([Outcome.HELD] * 3, [150.0, 180.0, 180.0])
+    kept.offer(of([1, 1, 1]), told)
     assert kept.points(of([1])).tolist() == told["surface_point"][1:2].tolist()
 
 
 def test_weak_places_are_those_without_a_robust_grasp() -> None:
-    kept = hints()
-    kept.learn(of([4, 5, 6]), rows([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN]))
+    kept = elite_store()
+    kept.offer(of([4, 5, 6]), rows([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN]))
     assert sorted(kept.weak.tolist()) == [4, 6]
-    kept.learn(of([4]), rows([Outcome.HELD]))
+    kept.offer(of([4]), rows([Outcome.HELD]))
     assert kept.weak.tolist() == [6]
 
 
 def test_places_without_a_success_rank_below_all_others() -> None:
-    kept = hints()
-    kept.learn(of([4, 5]), rows([Outcome.DROPPED, Outcome.HELD]))
+    kept = elite_store()
+    kept.offer(of([4, 5]), rows([Outcome.DROPPED, Outcome.HELD]))
     none, weak, best = kept.ranks(of([3, 4, 5]))
     assert none < 0 < weak < best
 
 
 def test_there_is_room_for_any_number() -> None:
-    kept, n = hints(), 5 * FIRST_CAPACITY
+    kept, n = elite_store(), 5 * FIRST_CAPACITY
     for start in range(0, n, 500):
         told = rows([Outcome.DROPPED] * min(500, n - start))
         told["surface_point"] += start
-        kept.learn(np.arange(start, start + len(told)), told)
+        kept.offer(np.arange(start, start + len(told)), told)
     assert len(kept) == n
     points = kept.points(np.arange(n))
     assert points[501].tolist() == [503, 504, 505]
@@ -260,8 +260,8 @@ def test_a_roll_is_read_back_from_the_pose_and_kept_in_other_directions(axis: tu
     told = rows([Outcome.HELD] * 200)
     frames = from_frame(*turned(*tangents(directions), angles), directions)
     told["base_to_object"][:, 3:] = multiply(frames, np.tile(conjugate(at_rest), (200, 1)))
-    kept = hints(axis)
-    kept.learn(np.arange(200), told)
+    kept = elite_store(axis)
+    kept.offer(np.arange(200), told)
     assert np.cos(kept.rolls(np.arange(200), directions) - angles) == pytest.approx(np.ones(200), abs=1e-5)
     aside, _ = turned(*tangents(directions), angles)
     near = unit(directions + random.normal(0, 0.05, (200, 3)))
@@ -270,8 +270,8 @@ def test_a_roll_is_read_back_from_the_pose_and_kept_in_other_directions(axis: tu
 
 
 def test_the_better_neighbour_is_preferred_mostly_and_equals_alike() -> None:
-    kept, told = hints(), rows([Outcome.DROPPED, Outcome.HELD, Outcome.HELD])
-    kept.learn(of([1, 2, 3]), told)
+    kept, told = elite_store(), rows([Outcome.DROPPED, Outcome.HELD, Outcome.HELD])
+    kept.offer(of([1, 2, 3]), told)
     options = np.tile(of([1, 2, 3, 4]), (3000, 1))
     chosen = kept.preference(options, np.random.default_rng(0)).argmax(axis=1)
     dropped, one, other, none = np.bincount(chosen, minlength=4)

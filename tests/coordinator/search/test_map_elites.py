@@ -20,7 +20,7 @@ def generator(seed: int = 0) -> np.random.Generator:
 
 
 def times(picks: np.ndarray, n: int) -> np.ndarray:
-    """How often each elite was picked."""
+    """Number of times that each elite was picked."""
     return np.bincount(picks, minlength=n)
 
 

@@ -1,5 +1,6 @@
-"""What every search keeps to."""
+"""Rules that every search keeps to."""
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -8,7 +9,7 @@ from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
-from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
+from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
 from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, method
 from qdgrasp_protocol.errors import UnknownName
@@ -39,7 +40,7 @@ def shape_of(entry: Method) -> RowShape:
 
 
 def evaluated(shape: RowShape, generation: int, genomes: np.ndarray) -> Rows:
-    """Rows with results that are a function of the genomes: about a third each overlap, fail, succeed."""
+    """Rows whose results are a function of the genomes: a third each overlap, fail, succeed."""
     rows = shape.empty(len(genomes))
     rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
     share = (genomes[:, 3] + 1) / 2
@@ -51,7 +52,7 @@ def evaluated(shape: RowShape, generation: int, genomes: np.ndarray) -> Rows:
 
 
 def asked(search: SearchAlgorithm, shape: RowShape) -> list[np.ndarray]:
-    """What a search asks in its first generations."""
+    """The genomes that a search asks in its first generations."""
     all_asked = []
     for generation in range(GENERATIONS):
         genomes = search.ask(generation)
@@ -191,3 +192,23 @@ def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget()
     assert generation is not None
     assert len(pipeline.settle(_rows(SHAPE, generation))) == 5
     assert pipeline.finished == "the search has nothing left to ask"
+
+
+def test_a_key_always_gives_the_same_numbers() -> None:
+    one, other = keyed_generator(7, "parents", 3), keyed_generator(7, "parents", 3)
+    assert one.random(8).tolist() == other.random(8).tolist()
+
+
+def test_seed_purpose_and_generation_all_change_the_numbers() -> None:
+    keys = itertools.product((0, 1, 2**32, 2**62 + 1), ("parents", "mutation"), (0, 1, 2, 2**32 - 1))
+    firsts = [keyed_generator(*key).random() for key in keys]
+    assert len(set(firsts)) == len(firsts)
+
+
+def test_the_numbers_stay_the_same_from_version_to_version() -> None:
+    """Journals hold what was drawn: were this to change, no old run could be resumed."""
+    assert keyed_generator(0, "uniform", 0).integers(0, 2**32, 3).tolist() == [
+        4054646954,
+        1409545429,
+        458180423,
+    ]

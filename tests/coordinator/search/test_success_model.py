@@ -165,8 +165,8 @@ def test_weights_fit_into_their_genes_in_the_same_proportions() -> None:
 NONE, ALL = np.zeros(50, bool), np.ones(50, bool)
 
 
-def wanted(gate: SuccessThreshold, dead_ends: int = 0) -> float:
-    return float(gate.wanted(np.array([dead_ends], np.int32))[0])
+def wanted(threshold: SuccessThreshold, dead_ends: int = 0) -> float:
+    return float(threshold.wanted(np.array([dead_ends], np.int32))[0])
 
 
 def test_less_is_wanted_of_a_cell_after_each_dead_end() -> None:
@@ -176,37 +176,37 @@ def test_less_is_wanted_of_a_cell_after_each_dead_end() -> None:
 
 
 def test_less_is_wanted_while_hardly_anything_is_simulated() -> None:
-    gate = SuccessThreshold()
+    threshold = SuccessThreshold()
     for _ in range(19):  # a run ends after 20 generations without an evaluation
-        gate.tell(NONE)
-    assert wanted(gate) < 0.15
-    gate.tell(ALL)
-    assert wanted(gate) < 0.15
+        threshold.update(NONE)
+    assert wanted(threshold) < 0.15
+    threshold.update(ALL)
+    assert wanted(threshold) < 0.15
     for _ in range(20):
-        gate.tell(ALL)
-    assert wanted(gate) == pytest.approx(WANTED)
+        threshold.update(ALL)
+    assert wanted(threshold) == pytest.approx(WANTED)
 
 
 def test_enough_simulations_change_nothing() -> None:
-    gate = SuccessThreshold()
-    gate.tell(np.arange(50) < LEAST_SHARE * 50)
-    assert wanted(gate) == WANTED
+    threshold = SuccessThreshold()
+    threshold.update(np.arange(50) < LEAST_SHARE * 50)
+    assert wanted(threshold) == WANTED
 
 
 def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
-    gate = SuccessThreshold()
+    threshold = SuccessThreshold()
     for _ in range(10_000):
-        gate.tell(NONE)
-    assert wanted(gate, 10**6) == wanted(gate) == LEAST_WANTED
+        threshold.update(NONE)
+    assert wanted(threshold, 10**6) == wanted(threshold) == LEAST_WANTED
     for _ in range(100):
-        gate.tell(ALL)
-    assert wanted(gate) == pytest.approx(WANTED)
+        threshold.update(ALL)
+    assert wanted(threshold) == pytest.approx(WANTED)
 
 
 def test_it_knows_the_share_that_got_through_lately() -> None:
-    gate = SuccessThreshold()
-    shares = [gate.share]
+    threshold = SuccessThreshold()
+    shares = [threshold.share]
     for through in (NONE, np.arange(50) < 10, ALL):
-        gate.tell(through)
-        shares.append(gate.share)
+        threshold.update(through)
+        shares.append(threshold.share)
     assert shares == [1.0, LEAST_SHARE, 0.2, 1.0]

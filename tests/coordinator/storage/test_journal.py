@@ -1,3 +1,4 @@
+import itertools
 import os
 import signal
 import sqlite3
@@ -15,7 +16,7 @@ from tests.common import PATIENCE
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import journal_digest
 from qdgrasp_protocol.errors import DiskFull, FolderError
@@ -43,7 +44,7 @@ def make_rows(n: int, seed: int = 0) -> Rows:
 def record(folder: Path, rows: Rows, sizes: list[int]) -> None:
     """Record rows in blocks of these sizes."""
     with JournalWriter.create(folder, IDENTITY) as journal:
-        journal.begin_turn(1, 1000.0)
+        journal.begin_epoch(1, 1000.0)
         first = 0
         for size in sizes:
             journal.append(
@@ -148,7 +149,7 @@ def test_reasons_of_errors_stay_with_their_rows(tmp_path: Path) -> None:
             failures = (Failure(row=3, reason=f"aborted {first}"),)
             journal.append(JournalSlice(first, rows[first : first + 10], failures=failures), 1, 0.0)
         assert journal.errors() == {3: "aborted 0", 13: "aborted 10", 23: "aborted 20"}
-        page = journal.stretch(12, 10)
+        page = journal.slice(12, 10)
     assert [(failure.row, failure.reason) for failure in page.failures] == [(1, "aborted 10")]
 
 
@@ -165,10 +166,10 @@ def test_wall_seconds_are_those_of_each_turn_and_not_the_pauses_between(tmp_path
     rows = make_rows(20)
     with JournalWriter.create(tmp_path, IDENTITY) as journal:
         assert journal.wall_seconds == 0.0
-        journal.begin_turn(1, 100.0)
+        journal.begin_epoch(1, 100.0)
         journal.append(JournalSlice(0, rows[:10]), 1, 103.0)
-        journal.begin_turn(2, 5000.0)
-        journal.begin_turn(2, 5001.0)
+        journal.begin_epoch(2, 5000.0)
+        journal.begin_epoch(2, 5001.0)
         journal.append(JournalSlice(10, rows[10:]), 2, 5004.0)
         assert journal.wall_seconds == 7.0
 
@@ -198,7 +199,7 @@ def test_rows_are_there_after_the_writer_was_killed(tmp_path: Path) -> None:
         f"spec = util.spec_from_file_location('journal_tests', {__file__!r})\n"
         "tests = util.module_from_spec(spec); spec.loader.exec_module(tests)\n"
         f"writer = tests.JournalWriter.create(Path({str(tmp_path)!r}), tests.IDENTITY)\n"
-        "writer.append(tests.Stretch(0, tests.make_rows(50)), 1, 0.0)\n"
+        "writer.append(tests.JournalSlice(0, tests.make_rows(50)), 1, 0.0)\n"
         "os.kill(os.getpid(), 9)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE)
@@ -311,7 +312,7 @@ def test_a_journal_in_a_folder_that_nobody_may_write_is_read(tmp_path: Path) -> 
 def test_who_leaves_off_in_the_middle_of_rows_may_close_the_journal_first(tmp_path: Path) -> None:
     record(tmp_path, make_rows(20), [10, 10])
     with Journal.open(tmp_path) as journal:
-        left = journal.stretches()
+        left = journal.slices()
         assert len(next(left)) == 10
     left.close()  # type: ignore[attr-defined]  # what a generator has, and an iterator need not
 
@@ -322,3 +323,32 @@ def test_a_closed_journal_is_not_said_to_be_damaged(tmp_path: Path) -> None:
         pass
     with pytest.raises(sqlite3.ProgrammingError, match="closed"):
         journal.successes()
+
+
+def ten_rows() -> JournalSlice:
+    rows = RowShape(genes=1, joints=0).empty(10)
+    rows["index"] = np.arange(10)
+    failures = tuple(Failure(row=row, reason=f"row {row}") for row in (0, 4, 9))
+    return JournalSlice(100, rows, 5.0, failures)
+
+
+@pytest.mark.parametrize(("first", "stop"), [(100, 110), (100, 104), (104, 110), (103, 106), (90, 200)])
+def test_a_part_has_the_rows_and_failures_of_its_numbers(first: int, stop: int) -> None:
+    part = ten_rows().part(first, stop)
+    first, stop = max(first, 100), min(stop, 110)
+    assert (part.first, part.stop) == (first, stop)
+    assert part.rows["index"].tolist() == list(range(first - 100, stop - 100))
+    assert part.cpu_seconds == pytest.approx((stop - first) / 2)
+    for failure in part.failures:
+        assert failure.reason == f"row {part.rows[failure.row]['index']}"
+    assert len(part.failures) == sum(first <= 100 + row < stop for row in (0, 4, 9))
+
+
+@pytest.mark.parametrize("cuts", [[100, 110], [100, 101, 110], [100, 103, 104, 109, 110]])
+def test_parts_join_to_the_whole(cuts: list[int]) -> None:
+    whole = ten_rows()
+    parts = [whole.part(first, stop) for first, stop in itertools.pairwise(cuts)]
+    again = join_slices(parts)
+    assert (again.first, again.stop, again.failures) == (whole.first, whole.stop, whole.failures)
+    assert again.rows.tobytes() == whole.rows.tobytes()
+    assert again.cpu_seconds == pytest.approx(whole.cpu_seconds)

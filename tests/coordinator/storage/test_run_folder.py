@@ -16,7 +16,14 @@ from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
-from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance, provenances
+from qdgrasp_coordinator.storage.run_folder import (
+    PlatformDiffers,
+    RunFolder,
+    admit_platform,
+    platform_differences,
+    provenance,
+    provenances,
+)
 from qdgrasp_protocol.errors import FolderError, OtherRun
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -269,3 +276,23 @@ def test_the_rows_of_a_merged_folder_are_those_of_its_runs(tmp_path: Path, make_
             rows = np.concatenate(list(journal.kept(one.rows.start, one.rows.stop)))
             assert rows.tobytes() == expected.tobytes()
             assert provenance(merged, journal, one.rows.start) == one
+
+
+JOB_PLATFORM = {"qdgrasp": "0.1.0", "numpy": "2.4.6", "code": "ab" * 32}
+
+
+def test_the_first_worker_says_the_platform_of_the_job() -> None:
+    assert admit_platform({}, JOB_PLATFORM) == JOB_PLATFORM
+
+
+def test_the_version_of_the_package_is_kept_and_not_compared() -> None:
+    later = JOB_PLATFORM | {"qdgrasp": "0.2.0"}
+    assert admit_platform(JOB_PLATFORM, later) == JOB_PLATFORM
+    assert platform_differences(JOB_PLATFORM, later) == ""
+
+
+@pytest.mark.parametrize("other", [{"numpy": "2.5.0"}, {"code": "cd" * 32}, {"machine": "aarch64"}])
+def test_all_else_is_compared_and_then_the_version_is_told_too(other: dict[str, str]) -> None:
+    (name,) = other
+    with pytest.raises(PlatformDiffers, match=f"{name} .* instead of .*, qdgrasp 0.2.0 instead of 0.1.0"):
+        admit_platform(JOB_PLATFORM, JOB_PLATFORM | other | {"qdgrasp": "0.2.0"})

@@ -17,7 +17,7 @@ LEGEND = RowContext(TRIALS)
 
 
 def with_trials(nominal: Rows, seed: int = 1) -> Rows:
-    """The rows of a journal whose successes have trials, behind the nominal rows of each generation."""
+    """Rows of a journal with trials of successes behind the nominal rows of each generation."""
     random, parts = np.random.default_rng(seed), []
     for generation in np.unique(nominal["generation"]):
         rows = nominal[nominal["generation"] == generation]
@@ -29,7 +29,7 @@ def with_trials(nominal: Rows, seed: int = 1) -> Rows:
 
 
 def etas(rows: Rows) -> dict[int, float]:
-    """The eta of each success by its number, by the plainest means; of those whose trials are all there."""
+    """The eta of each success with all its trials by its number, by the plainest means."""
     found = {}
     for number in np.flatnonzero(success_mask(rows)).tolist():
         same = (rows["generation"] == rows["generation"][number]) & (rows["index"] == rows["index"][number])
@@ -49,7 +49,7 @@ def folder(tmp_path: Path, make_scene, rows: Rows) -> RunFolder:
 
 
 def told(folder: RunFolder, first: int = 0) -> tuple[dict[int, float], int]:
-    """What all pages from a row on tell, and the number from which to read on."""
+    """All pages from a row on, and the number from which to read on."""
     found: dict[int, float] = {}
     with folder.journal() as journal:
         while True:
@@ -64,7 +64,7 @@ def told(folder: RunFolder, first: int = 0) -> tuple[dict[int, float], int]:
 def test_every_success_comes_with_its_eta_however_short_pages_are(
     folder: RunFolder, rows: Rows, monkeypatch: pytest.MonkeyPatch, scanned: int
 ) -> None:
-    monkeypatch.setattr(success_pages, "SCANNED", scanned)
+    monkeypatch.setattr(success_pages, "ROWS_SCANNED", scanned)
     found, upto = told(folder)
     assert found == pytest.approx(etas(rows))
     assert NO_ETA not in found.values()
