@@ -273,7 +273,7 @@ _read_published = cache(read_references)
 
 
 class Coverage(Struct, frozen=True, kw_only=True):
-    """Coverage of a reference set; a ratio with denominator 0 is None."""
+    """Coverage of a reference set; None where the denominator of a ratio is 0."""
 
     coverage: float | None
     """`found` over `size`, 0 to 1."""

@@ -276,7 +276,7 @@ class SuccessMetrics:
 
 
 class Diversity(Struct, frozen=True, kw_only=True):
-    """Occupied niches, and their number in a cell. Without a success, a mean is None."""
+    """Occupied niches, and their number in a cell; None for a mean without a success."""
 
     niches: int
     """Those with a success."""
