@@ -1,4 +1,4 @@
-"""Worker pool: several workers of one command, started again when they die, and stopped together."""
+"""Worker pool: several workers of one command, restarted when they die, stopped together."""
 
 import os
 import signal
@@ -21,14 +21,9 @@ POOL_OPTIONS = ("workers", "pin")  # Options of the team, which its workers are 
 
 
 class StartupCheck:
-    """Whether workers begin to serve at all, or what they were given is bad for each. Pure.
+    """Decides whether bad input ends each of `size` workers at its first start. Pure.
 
-    Parameters
-    ----------
-    size
-        How many there are.
-    until
-        When the first process of each has begun [s], of any steady clock.
+    The first process of each has begun by `until` [s], of any steady clock.
     """
 
     def __init__(self, size: int, until: float) -> None:
@@ -38,7 +33,7 @@ class StartupCheck:
         self._turned_away: set[str] = set()
 
     def is_hopeless(self, death: ProcessExit, now: float) -> bool:
-        """Hear that a worker ended; gives whether bad input has now ended the first process of each."""
+        """Note that a worker ended; True once bad input has ended the first process of each."""
         is_first = death.name not in self._seen
         self._seen.add(death.name)
         if is_first and now <= self._until and death.exit_code == InputError.exit_code:
@@ -48,20 +43,10 @@ class StartupCheck:
 
 
 class WorkerPool:
-    """Workers that are looked after.
+    """Several workers with the same arguments, restarted when they die.
 
-    Parameters
-    ----------
-    size
-        How many.
-    arguments
-        What each is started with.
-    grace
-        Seconds that each may take to stop.
-    wait
-        Seconds that each waits for the router.
-    is_pinned
-        Each is kept on a core of its own, as far as there are so many.
+    Each may take `grace` seconds to stop and waits `wait` seconds for the router; if pinned, each is kept on
+    a core of its own, as far as there are so many.
     """
 
     def __init__(
@@ -75,12 +60,9 @@ class WorkerPool:
         self._beginning = StartupCheck(size, monotonic() + wait + STARTUP_SECONDS)
 
     def run(self, stop: Stop) -> None:
-        """Look after the workers until a signal comes, or all have left.
+        """Start the workers and watch them until a signal comes, or all have left.
 
-        Raises
-        ------
-        Exit
-            The first process of each worker ended with a sentence that names bad input: so would any.
+        An Exit if the first process of each ended by bad input, as any would.
         """
         setproctitle("qdgrasp-workers")
         woken: SimpleQueue[None] = SimpleQueue()
@@ -113,7 +95,7 @@ class WorkerPool:
         log.warning(f"{death.name} {death.words}; it is started again in {pause:.1f} s")
 
     def _dismiss(self, crew: ProcessGroup, stop: Stop, woken: "SimpleQueue[None]") -> None:
-        """Ask the workers to stop by the first signal, then by SIGINT if that comes, and end the others."""
+        """Ask the workers to stop by the first signal, then by SIGINT if that comes; end the others."""
         passed_on = stop.signal or signal.SIGTERM
         crew.bid_leave(passed_on)
         kill_at = monotonic() + self._grace
@@ -128,7 +110,7 @@ class WorkerPool:
 
 
 def worker_arguments(context: typer.Context) -> list[str]:
-    """The options of a command as they were given, but for those that are the team's own."""
+    """The options of a command as they were given, without the pool's own."""
     given: list[str] = []
     for option in context.command.params:
         value = context.params.get(option.name or "")
