@@ -19,7 +19,7 @@ log = structlog.get_logger()
 
 
 class Channel(Enum):
-    """How a message travels (docs/bus.md, keys)."""
+    """Delivery and priority of a message (docs/bus.md, keys)."""
 
     DATA = "data"
     """Reliable, blocks when the link is full."""
@@ -44,7 +44,7 @@ class Query:
 
     key: str
     parameters: str
-    """What stands behind the `?`: `"i=3"`."""
+    """The text behind the `?`: `"i=3"`."""
     payload: bytes
 
 
@@ -56,18 +56,15 @@ Raising `Refused` becomes an error reply that carries the reason, `NoReply` leav
 answer; anything else is a fault of ours: it is logged, and the asker hears the error's name as `Faulty`.
 """
 ValuesHandler = Callable[[Query], Mapping[str, bytes]]
-"""Answers a query that may be a pattern, with values by their concrete keys; raises as a `QueryHandler`."""
+"""Answers a query, perhaps a pattern, with values by key; raises as a `QueryHandler`."""
 TokenHandler = Callable[[str, bool], None]
-"""Told a key and whether its token is alive (True) or gone (False)."""
+"""Takes a key, and True if its token is alive, False if it is gone."""
 
 
 class Declaration(AbstractContextManager[Any]):
     """Something a session declared: it holds from the call that made it until its context ends.
 
-    Parameters
-    ----------
-    undo
-        Takes it back; called once.
+    `undo` takes it back; it is called once.
     """
 
     def __init__(self, undo: Callable[[], object] = lambda: None) -> None:
@@ -82,10 +79,7 @@ class Declaration(AbstractContextManager[Any]):
 
 
 class RingBuffer(Declaration, ABC):
-    """What was heard lately and is not taken yet: so many messages at most, the newest.
-
-    Nobody waits for whoever reads it: where it is full, the eldest message gives way to the next.
-    """
+    """The newest messages that are not taken yet: when it is full, the oldest gives way."""
 
     def __enter__(self) -> Self:
         return self
@@ -96,7 +90,7 @@ class RingBuffer(Declaration, ABC):
 
 
 def reply_error(error: Exception, key: str) -> BusError:
-    """What the asker is told of an error in a query handler; `NoReply`: nothing."""
+    """The error to send to the asker for an error in a query handler; `NoReply`: none is sent."""
     if isinstance(error, Refused | NoReply):
         return error
     log.error("a query was not answered", key=key, exc_info=error)
@@ -104,7 +98,7 @@ def reply_error(error: Exception, key: str) -> BusError:
 
 
 class Bus(ABC):
-    """One session on the bus. A context manager: leaving it closes the session and all it declared.
+    """One session on the bus; a context manager that closes it with all that it declared.
 
     Keys are concrete; patterns may hold `*` (one chunk) and `**` (any number of chunks), which never match
     a chunk that begins with `@`. Messages of one session on one channel arrive in the order they were put.
@@ -117,44 +111,38 @@ class Bus(ABC):
 
     @abstractmethod
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Hear every message whose key matches `pattern` until the context ends."""
+        """Pass every message whose key matches `pattern` to `handler` until the context ends."""
 
     @abstractmethod
     def ring(self, pattern: str, capacity: int) -> RingBuffer:
         """Keep the latest `capacity` messages whose key matches `pattern` until the context ends.
 
-        For whoever only watches: no code of ours runs when a message comes, and a reader that stops reading
-        holds nobody up.
+        For processes that only watch: no code of ours runs when a message comes, and a reader that stops
+        reading holds up no other.
         """
 
-    @abstractmethod
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries on `pattern` until the context ends, one at a time; see `QueryHandler`."""
+        return self.show(pattern, lambda query: {query.key: handler(query)})
 
     @abstractmethod
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
-        """Query `key` and return the first answer; where nobody answers on `key` it fails at once.
+        """Query `key` and return the first answer; it fails at once if there is no queryable.
 
-        Raises
-        ------
-        Refused
-            The other side answered with a reason why not.
-        NoReply
-            Nobody answers there, or not within `timeout` seconds.
-        Faulty
-            The other side failed.
+        Refused if the other side gives a reason why not, NoReply if there is no answer within `timeout`
+        seconds, and Faulty if the other side failed.
         """
 
     @abstractmethod
     def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
-        """Answer queries on `pattern`, which may be patterns too, with any number of values, each by its key.
+        """Answer queries on `pattern`, perhaps patterns, with any number of values by key.
 
         Values whose keys do not match what was asked are left out.
         """
 
     @abstractmethod
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
-        """Query whatever matches `pattern`; gives all values that came within `timeout` seconds, by key."""
+        """Query all that matches `pattern`; return the values that came in time [s], by key."""
 
     @abstractmethod
     def token(self, key: str) -> AbstractContextManager[None]:
@@ -162,14 +150,14 @@ class Bus(ABC):
 
     @abstractmethod
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of every token that matches `pattern`: those alive now, and then each change.
+        """Report every token that matches `pattern`: those alive now, and then each change.
 
         While the session is cut off, every token of others counts as gone.
         """
 
     @abstractmethod
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear when this session is cut off from the bus (False) and when it is back (True).
+        """Report when this session is cut off from the bus (False) and when it is back (True).
 
         A session that is itself the router is never cut off: a client that leaves it is no news here.
         """
@@ -186,7 +174,7 @@ class Bus(ABC):
 
 
 class DropCounter:
-    """How many messages were dropped; the first, second, fourth, eighth ... is told of."""
+    """Counts dropped messages; the first, second, fourth, eighth ... is logged."""
 
     def __init__(self) -> None:
         self.count = 0

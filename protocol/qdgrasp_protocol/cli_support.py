@@ -42,7 +42,7 @@ InsecureOption = Annotated[
 
 
 def _print_version(context: typer.Context, wanted: bool) -> None:
-    """Print which version this is, and end."""
+    """Print the version, and end."""
     if wanted:
         typer.echo(f"{context.info_name} {version('qdgrasp')}")
         raise typer.Exit
@@ -52,7 +52,7 @@ VersionOption = Annotated[
     bool,
     typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version, and end."),
 ]
-"""Taken by every command that stands alone; what it does is done before the command's function is called."""
+"""Option of every command that stands alone; it acts before the command's function."""
 
 
 BOUND_PREFIX = "Input should be "  # What a word begins with about a number that is out of bounds, or none
@@ -60,12 +60,9 @@ CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
 
 
 def usage_error(error: TyperException, name: str) -> str:
-    """What a command line is refused with: what is wrong, and which help tells more.
+    """The sentence that refuses a command line: the fault, and the help that tells more.
 
-    Parameters
-    ----------
-    name
-        Of the program, for errors that do not know their command.
+    `name` is the program's, for errors that do not know their command.
     """
     context = getattr(error, "ctx", None)
     command = name if context is None else context.command_path
@@ -84,7 +81,7 @@ def _usage_words(error: TyperException) -> str:
 
 
 def _faults(error: TyperException) -> Iterator[dict[str, str]]:
-    """What the library says that looks at values; it is not loaded where there is none of its errors."""
+    """The faults found by the validation library, not imported unless there is an error of its."""
     faults = getattr(error.__cause__, "errors", None)
     if callable(faults):
         yield from faults()
@@ -94,7 +91,7 @@ SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to
 
 
 def run_command(app: typer.Typer, name: str) -> None:
-    """Run a command line; what goes wrong ends it with a sentence on standard error and an exit code."""
+    """Run a command line; an error ends it with a sentence on standard error and an exit code."""
     try:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_on_signal)
@@ -124,12 +121,12 @@ def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
 
 
 def _exit_at_once(number: int, _frame: FrameType | None) -> None:
-    """End a command that is done already; Python itself prints a trace where its end is disturbed."""
+    """End a command that is done already; Python prints a trace if its end is disturbed."""
     os._exit(128 + number)
 
 
 def _start_forced_exit() -> None:
-    """End this process some time after a signal: it may be in a call that lets nobody hear one for minutes.
+    """End this process some time after a signal, as a call may block handlers for minutes.
 
     The kernel's note of a signal comes at once, and to another thread. There are none within a `lifetime`.
     """
@@ -147,7 +144,7 @@ def _wait_for_signal(end: int) -> None:
 
 
 def _print_usage_error(name: str, error: TyperException) -> int:
-    """Say what was wrong with a command line; one with nothing in it is answered with the whole help."""
+    """Print the fault of a command line; an empty one is answered with the whole help."""
     words = error.format_message()
     if words.startswith("Usage: "):
         print(words, file=sys.stderr, flush=True)  # noqa: T201  # help is for a person who asked for nothing else

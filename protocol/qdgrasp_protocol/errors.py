@@ -66,19 +66,7 @@ class InputError(QdgraspError):
 
 
 class UnknownName(InputError):
-    """A name that no table has.
-
-    Parameters
-    ----------
-    kind
-        What was named: "gripper", "object", "method" ...
-    name
-        The name that came.
-    known
-        The names that exist.
-    hint
-        What to do besides choosing one of them.
-    """
+    """A name of some kind ("gripper", "object" ...) that no table has; `hint` is further advice."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         names = sorted(known)
@@ -95,7 +83,7 @@ class UnknownKey(InputError):
 
 
 def _guess(name: str, names: Sequence[str]) -> str:
-    """Which of the names may have been meant, in a sentence; empty: none is near."""
+    """A sentence with the name that may have been meant; empty: no name is near."""
     close = get_close_matches(name, names, n=1)
     return f" Did you mean '{close[0]}'?" if close else ""
 
@@ -112,22 +100,14 @@ class AssetError(InputError):
 
 
 class WrongScan(AssetError):
-    """What was fetched is not what it must be; it was thrown away."""
+    """A fetched file is not the one expected; it was thrown away."""
 
     def __init__(self, name: str, reason: object) -> None:
         super().__init__(f"What was fetched for '{name}' was thrown away: {reason}")
 
 
 class UnusableMeshes(AssetError):
-    """Mesh files of which no objects can be made; nothing was begun with the others.
-
-    Parameters
-    ----------
-    total
-        How many mesh files there are.
-    faults
-        What is wrong, by file.
-    """
+    """Mesh files of which no objects can be made, with the fault of each; nothing was begun."""
 
     def __init__(self, total: int, faults: Mapping[str, str]) -> None:
         told = "".join(f"\n  {name}: {why}" for name, why in faults.items())
@@ -142,15 +122,7 @@ class FolderError(InputError):
 
 
 class NoFolder(FolderError):
-    """A path where the folder of a run or of a job is to be, and none is.
-
-    Parameters
-    ----------
-    path
-        What was named.
-    is_there
-        Whether something else is there.
-    """
+    """A path that is no folder of a run or job; `is_there`: it is something else."""
 
     def __init__(self, path: object, *, is_there: bool) -> None:
         super().__init__(
@@ -167,16 +139,8 @@ class DiskFull(FolderError):
 class OutputError(FolderError):
     """A path where something cannot be written; what is there was left as it was.
 
-    Parameters
-    ----------
-    path
-        Where it was to be written.
-    why
-        What is there, or what went wrong.
-    instead
-        What to do; empty: that is plain.
-    forces
-        Whether `--force` helps too.
+    `why` completes the sentence that the path begins, `instead` is advice, empty where there is none, and
+    `forces` says that `--force` helps too.
     """
 
     def __init__(self, path: object, why: str, instead: str = "", *, forces: bool = False) -> None:
@@ -185,17 +149,7 @@ class OutputError(FolderError):
 
 
 class OtherRun(FolderError):
-    """A journal in a folder whose other files are of another run: one of them is in the wrong place.
-
-    Parameters
-    ----------
-    journal
-        The journal.
-    file
-        What is of another run.
-    of, than
-        What each is of, in words; of the same kind.
-    """
+    """A journal in a folder where a file is of another run; `of` and `than` tell them in words."""
 
     def __init__(self, journal: object, file: object, of: str, than: str) -> None:
         super().__init__(
@@ -204,30 +158,14 @@ class OtherRun(FolderError):
 
 
 class EndsTooSoon(InputError):
-    """A run that is to end before what is recorded of it.
-
-    Parameters
-    ----------
-    folder
-        The run's.
-    reason
-        What is asked for, and what is recorded.
-    """
+    """A run that is to end before what is recorded of it."""
 
     def __init__(self, folder: object, reason: ImpossibleValue) -> None:
         super().__init__(f"{folder} cannot end as is asked: {reason}")
 
 
 class JawNeeded(InputError):
-    """A prior for two-finger hands, and a hand that is none.
-
-    Parameters
-    ----------
-    prior
-        The prior.
-    gripper
-        The hand.
-    """
+    """A prior for two-finger hands was asked for with another hand."""
 
     def __init__(self, prior: str, gripper: str) -> None:
         super().__init__(
@@ -253,11 +191,11 @@ class Refused(BusError):
 
 
 class NoReply(BusError):
-    """Nobody answered a query in time."""
+    """A query was not answered in time."""
 
 
 class Faulty(BusError):
-    """Whoever was asked failed by a fault of its own, of which its log tells; next time it may not."""
+    """The other side failed by a fault of its own, which is in its log; next time it may not."""
 
 
 class MessageError(QdgraspError):
@@ -269,15 +207,7 @@ class ReplayError(InputError):
 
 
 class RunFailed(InputError):
-    """A run of a job that cannot be carried out.
-
-    Parameters
-    ----------
-    run
-        Its name.
-    reason
-        A sentence.
-    """
+    """A run of a job that cannot be carried out, with the reason as a sentence."""
 
     def __init__(self, run: str, reason: str) -> None:
         super().__init__(reason)
@@ -285,18 +215,10 @@ class RunFailed(InputError):
 
 
 class RunsFailed(InputError):
-    """Runs of a job that could not be carried out, when the others are.
-
-    Parameters
-    ----------
-    failures
-        One or more.
-    total
-        How many runs the job has.
-    """
+    """Runs of a job, one or more of a total, that could not be carried out, when the others are."""
 
     NAMED = 10
-    """So many are named besides the first."""
+    """Number of runs that are named besides the first."""
 
     def __init__(self, failures: Sequence[RunFailed], total: int) -> None:
         first, *others = failures
@@ -311,17 +233,7 @@ class RunsFailed(InputError):
 
 
 class RecorderFellBack(QdgraspError):
-    """A recorder that no longer has the rows it reported durable, or has rows that were never sent.
-
-    Parameters
-    ----------
-    reported
-        How many rows it now reports durable.
-    durable
-        How many it reported before.
-    sent
-        How many rows there are at all.
-    """
+    """A recorder lost rows that it reported durable, or has rows that were never sent."""
 
     def __init__(self, reported: int, durable: int, sent: int) -> None:
         super().__init__(
@@ -329,10 +241,10 @@ class RecorderFellBack(QdgraspError):
             "restored or it serves another coordinator; the run is to be replayed from its journal."
         )
         self.run = ""
-        """Whose rows they are; empty where there is one run only."""
+        """The run of these rows; empty where there is one run only."""
 
     def of(self, run: str) -> "RecorderFellBack":
-        """The same, told of a run."""
+        """The same, for a run."""
         self.run = run
         return self
 
@@ -342,15 +254,10 @@ class EndedEarly(QdgraspError):
 
 
 class Cancelled(EndedEarly):
-    """Whoever administers the job told its coordinator to end, which it does as asked.
+    """The job's coordinator was told by an admin to end, which it does as asked.
 
-    To the coordinator this is no failure, and nobody is to start it again. To whoever waits for the job,
+    To the coordinator this is no failure, and it is not to be started again. To those who wait for the job,
     such as `qdgrasp run`, it is an `EndedEarly` like any other.
-
-    Parameters
-    ----------
-    job
-        Its name.
     """
 
     exit_code = 0
@@ -360,15 +267,7 @@ class Cancelled(EndedEarly):
 
 
 class TookOver(EndedEarly):
-    """Another coordinator goes on with the job; this one ends, and is not to be started again.
-
-    Parameters
-    ----------
-    job
-        Its name.
-    epoch
-        The other's.
-    """
+    """Another coordinator goes on with the job; this one ends, and is not to be started again."""
 
     exit_code = 3
 
@@ -377,11 +276,11 @@ class TookOver(EndedEarly):
 
     @staticmethod
     def refusal(own: int, other: int) -> Refused:
-        """What a recorder answers a coordinator of an epoch that is over."""
+        """The recorder's answer to a coordinator of an epoch that is over."""
         return Refused(f"epoch {own} is over: another coordinator took over with {other}")
 
     @classmethod
     def told_by(cls, refusal: Exception, job: str) -> "TookOver | None":
-        """What a recorder's refusal means where it is such an answer; None where it is another one."""
+        """The error that a recorder's refusal stands for; None if it is another refusal."""
         found = re.search(r"another coordinator took over with (\d+)", str(refusal))
         return cls(job, found[1]) if found else None

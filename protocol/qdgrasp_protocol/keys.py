@@ -53,7 +53,7 @@ class Keys:
 
     @property
     def control(self) -> str:
-        """Whoever administers a job to its coordinator, query: pause, continue, cancel, drain."""
+        """Admin to coordinator, query: pause, continue, cancel, drain."""
         return f"{self.root}/rpc/control"
 
     def asset(self, digest: str = "*") -> str:
@@ -93,7 +93,7 @@ class Keys:
 
     @property
     def entries(self) -> str:
-        """Monitors to recorder, query: the runs in the folder, finished ones too, or one of them; JSON."""
+        """Monitors to recorder, query: the runs in the folder, finished ones too, or one; JSON."""
         return f"{self.root}/rec/runs"
 
     @property
@@ -150,18 +150,18 @@ def last_chunk(key: str) -> str:
 
 
 def parse_number(text: str) -> int | None:
-    """The number that a chunk of a key or a parameter stands for; None where it is none, or has 19 digits."""
+    """The number of a key's chunk or a parameter; None if it is not one, or has 19 digits."""
     is_one = text.isascii() and text.isdigit() and len(text) <= 18
     return int(text) if is_one else None
 
 
 def matches(pattern: str, key: str) -> bool:
-    """Whether a key matches a pattern: `*` is one chunk, `**` any number, neither matches one with `@`."""
+    """Return whether a key matches a pattern: `*` is one chunk, `**` any; neither one with `@`."""
     return _matches(pattern.split("/"), key.split("/"))
 
 
 def patterns_intersect(one: str, other: str) -> bool:
-    """Whether there is a key that both patterns match."""
+    """Return whether there is a key that both patterns match."""
     return _intersect(one.split("/"), other.split("/"))
 
 

@@ -1,4 +1,4 @@
-"""The in-memory twin of the bus, with links that can be cut: for tests, and for jobs in one process.
+"""The in-memory twin of the bus, with links that can be cut: for tests and one-process jobs.
 
 A message is delivered in the thread that puts it, before `put` returns, to subscribers in the order they
 subscribed: one thread that acts sees everything in one order. A query is answered in a thread of its own,
@@ -19,7 +19,6 @@ from qdgrasp_protocol.bus import (
     Channel,
     Declaration,
     Query,
-    QueryHandler,
     RingBuffer,
     Sample,
     SampleHandler,
@@ -49,7 +48,7 @@ class LivelinessToken(Registration):
 
 
 class Subscriber(Registration):
-    """A session hears messages."""
+    """A session receives messages."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: SampleHandler) -> None:
         super().__init__(session, pattern)
@@ -80,7 +79,7 @@ class Queryable(Registration):
         self._turn = threading.Lock()
 
     def reply(self, query: Query, answer: "Future[Mapping[str, bytes]]") -> None:
-        """Put the handler's values, or why there are none, into `answer`."""
+        """Put the handler's values, or its error, into `answer`."""
         with self._turn:
             try:
                 answer.set_result(self._handler(query))
@@ -89,7 +88,7 @@ class Queryable(Registration):
 
 
 class LivelinessWatcher(Registration):
-    """A session watches tokens; it knows which it was told are alive."""
+    """A session watches tokens; it knows those that were reported alive."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: TokenHandler) -> None:
         super().__init__(session, pattern)
@@ -97,7 +96,7 @@ class LivelinessWatcher(Registration):
         self._alive: list[str] = []
 
     def look(self, tokens: list[str]) -> None:
-        """Tell the handler what changed since the last look."""
+        """Report the changes since the last call to the handler."""
         before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
         self._alive = now
         for key in before:
@@ -109,7 +108,7 @@ class LivelinessWatcher(Registration):
 
 
 class MemoryNetwork:
-    """What the sessions of one process share."""
+    """State that the sessions of one process share."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()  # held while tokens are told, so that all hear of them in one order
@@ -138,7 +137,7 @@ class MemoryNetwork:
             return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
 
     def tell_tokens(self) -> None:
-        """Let every watcher look at the tokens it can see."""
+        """Report the tokens that it can see to every watcher."""
         with self._lock:
             for watcher in [e for e in self._entries if isinstance(e, LivelinessWatcher)]:
                 watcher.look([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
@@ -154,7 +153,7 @@ class MemoryBus(Bus):
         self._is_cut = False
 
     def reaches(self, other: "MemoryBus") -> bool:
-        """Whether there is a way between two sessions."""
+        """Return whether there is a way between two sessions."""
         return self is other or not (self._is_cut or other._is_cut)
 
     def cut(self) -> None:
@@ -166,7 +165,7 @@ class MemoryBus(Bus):
         self._set_cut(False)
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        """Deliver a message to everybody who hears it, before this call returns."""
+        """Deliver a message to every subscriber before this call returns."""
         self._check_open()
         sample = Sample(key, bytes(payload), encoding)
         for subscriber in self._network.visible(Subscriber, self):
@@ -174,7 +173,7 @@ class MemoryBus(Bus):
                 _call(subscriber.handler, sample)
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Hear messages."""
+        """Receive messages."""
         return self._declare(Subscriber(self, pattern, handler))
 
     def ring(self, pattern: str, capacity: int) -> RingBuffer:
@@ -182,10 +181,6 @@ class MemoryBus(Bus):
         ring = MemoryRing(capacity)
         ring.undo = self._declare(Subscriber(self, pattern, ring.heard.append)).undo
         return ring
-
-    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries, one at a time."""
-        return self.show(pattern, lambda query: {query.key: handler(query)})
 
     def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries with values."""
@@ -221,11 +216,11 @@ class MemoryBus(Bus):
         return self._declare(LivelinessToken(self, key))
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of tokens."""
+        """Report tokens."""
         return self._declare(LivelinessWatcher(self, pattern, handler))
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear of `cut` and `mend`."""
+        """Report `cut` and `mend`."""
         self._check_open()
         self._links.append(handler)
         return Declaration(lambda: self._links.remove(handler))

@@ -35,7 +35,7 @@ Number = Annotated[float, Meta(ge=0, le=1e12)]
 """Finite and not negative."""
 
 JobId = Annotated[str, Meta(max_length=32)]
-"""What tells a job from another one of its name: random, made with its folder; empty: not known."""
+"""Random id of a job's folder, to tell it from others of its name; empty: not known."""
 Text = Annotated[str, Meta(max_length=200)]
 """Words for a person; made with `short`."""
 
@@ -103,13 +103,13 @@ class Join(Message, frozen=True, kw_only=True):
     number: Count
     """Counts this worker's joins; the coordinator forgets what older ones were leased."""
     credit: Annotated[int, Meta(ge=0, le=64)]
-    """How many batches may be outstanding; 0: nothing more is to come, as the worker is about to leave."""
+    """Batches that may be outstanding; 0: no more are to come, as the worker is about to leave."""
     held: list[BatchId]
     """Batches still held from before."""
     host: Annotated[str, Meta(pattern=r"\A[!-~]{1,255}\Z")]
     pid: Count
     platform: dict[str, str]
-    """What decides the bits of a result: versions, evaluation code, digest of the probe set."""
+    """All that decides the bits of a result: versions, evaluation code, digest of the probes."""
 
 
 class Joined(Message, frozen=True, kw_only=True):
@@ -129,27 +129,27 @@ class Control(Message, frozen=True, kw_only=True):
 
 
 class Order(Message, frozen=True, kw_only=True):
-    """Whoever administers a job to its coordinator, query: what to do with it."""
+    """Admin to coordinator, query: an order for the job."""
 
     act: Literal["pause", "continue", "cancel", "drain"]
     worker: Annotated[str, Meta(pattern=r"\A[0-9a-f]{0,32}\Z")] = ""
-    """Whom to drain: a worker's id, or how it begins; empty: by `host`."""
+    """The worker to drain: its id, or how that begins; empty: by `host`."""
     host: Text = ""
-    """Whose workers to drain."""
+    """The host whose workers to drain."""
 
 
 class OrderReply(Message, frozen=True, kw_only=True):
     """The answer to an order."""
 
     words: Text
-    """What happened, in a sentence for a person."""
+    """The effect, in a sentence for a person."""
 
 
 class Chunk(Message, frozen=True, kw_only=True):
     """The answer to one query for a piece of a scene bundle."""
 
     total: Annotated[int, Meta(ge=1, le=4096)]
-    """How many chunks the bundle has."""
+    """Number of chunks of the bundle."""
     data: bytes
 
 
@@ -167,9 +167,9 @@ class Recordable(Message, frozen=True, kw_only=True):
     columns: dict[str, bytes]
     """All of `rows.COLUMNS`."""
     cpu_seconds: Number = 0.0
-    """What these rows cost on their workers, outside the digest."""
+    """Cost of these rows on their workers, outside the digest."""
     failures: list[Failure] = []
-    """Why rows with `Outcome.ERROR` failed."""
+    """Reasons of rows with `Outcome.ERROR`."""
 
 
 class Recorded(Message, frozen=True, kw_only=True):
@@ -179,7 +179,7 @@ class Recorded(Message, frozen=True, kw_only=True):
     run: Name
     durable: Count
     trouble: Text = ""
-    """Why the recorder cannot write now, in words; empty when it can."""
+    """The reason why the recorder cannot write now, in words; empty when it can."""
 
 
 class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -204,18 +204,18 @@ class Open(Message, frozen=True, kw_only=True):
 
 
 class Opened(Message, frozen=True, kw_only=True):
-    """The answer: the coordinator's epoch and the durable number of each run, in the order asked."""
+    """The answer: the coordinator's epoch and the durable number of each run, in order."""
 
     epoch: Count
     durable: list[Count]
     platform: dict[str, str]
-    """The platform that the recorded rows were made on; empty when there are none."""
+    """The platform that the recorded rows were made on; empty when there are no rows."""
     identity: JobId = ""
     """Of the job."""
 
 
 class Platform(Message, frozen=True, kw_only=True):
-    """Coordinator to recorder: the platform of this job's rows, known once the first worker joined."""
+    """Coordinator to recorder: the platform of this job's rows, once the first worker joined."""
 
     epoch: Count
     platform: dict[str, str]
@@ -241,9 +241,9 @@ class SuccessPage(Message, frozen=True, kw_only=True):
     next: Count
     """The journal number from which to ask on."""
     rows: Count
-    """How many rows the journal has; with `next` there, these are all the successes so far."""
+    """Number of the journal's rows; with `next` there, these are all the successes so far."""
     n: Annotated[int, Meta(ge=0, le=4096)]
-    """How many finds these are."""
+    """Number of the successes."""
     joints: Width
     """Finger joints of the hand."""
     columns: dict[str, bytes]
@@ -251,22 +251,22 @@ class SuccessPage(Message, frozen=True, kw_only=True):
 
 
 class Heartbeat(Struct, frozen=True, kw_only=True):
-    """How a worker is."""
+    """State of a worker."""
 
     wid: Wid
     """Its id."""
     host: Text
-    """Where it runs."""
+    """Its machine."""
     run: Text = ""
-    """Of the batch in work; empty: there is none."""
+    """Of the batch in work; empty: there is no batch."""
     rows: Count = 0
-    """Of that batch; 0: there is none."""
+    """Of that batch; 0: there is no batch."""
     progressed: bool = True
-    """Whether its simulator did anything since the last sign."""
+    """Its simulator did something since the last heartbeat."""
     memory: Count = 0
-    """What it and its simulator have of the memory [bytes]; 0: unknown."""
+    """Memory of it and its simulator [bytes]; 0: unknown."""
     restarts: Count = 0
-    """How often it has started its simulator again."""
+    """Number of restarts of its simulator."""
 
 
 M = TypeVar("M", bound=Message)
@@ -285,7 +285,7 @@ MESSAGE_LIMITS = {
     "raw": False,
 }
 MAX_BUNDLE = 128 << 20
-"""The largest scene bundle that is fetched [bytes]; those of the built-in hands and objects have 0.2 MB."""
+"""The largest scene bundle that is fetched [bytes]; those of built-in scenes have 0.2 MB."""
 MAX_BUNDLE_CONTAINERS = 1 << 16  # The most lists and maps in one; those have 50
 BUNDLE_LIMITS = {
     "max_array_len": 1 << 16,
@@ -358,7 +358,7 @@ def _unpack(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
 
 
 class _ContainerLimit:
-    """How many lists and maps a payload may still unfold to."""
+    """Number of lists and maps that a payload may still unfold to."""
 
     def __init__(self, left: int) -> None:
         self._left = left

@@ -1,4 +1,4 @@
-"""Processes: how one ends, how it logs, and groups of them that a command starts and watches.
+"""Processes: their end, their logs, and groups of them that a command starts and watches.
 
 A process lives until its work is done, a signal comes, or whoever started it is gone. A service waits on an
 inbox; stopping puts one more event into it. So no loop polls for signals, and a process ends within the time
@@ -33,14 +33,14 @@ from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_protocol.text import printable
 
 SUPERVISED = "QDGRASP_SUPERVISED"
-"""Set for a process that lives only as long as the process at the other end of its standard input."""
+"""Set for a process that lives only while the other end of its standard input is open."""
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SIGNAL_REPEAT_INTERVAL = 0.1  # seconds in which the main thread hears a signal, as a rule
 ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
 
 
 class Stop:
-    """Whether this process is asked to stop, and by what."""
+    """A request to stop this process, and its signal."""
 
     def __init__(self) -> None:
         self.signal: int | None = None
@@ -59,7 +59,7 @@ class Stop:
         return 0 if self.signal is None else 128 + self.signal
 
     def tell(self, callback: Callable[[], None]) -> None:
-        """Call `callback` when the process is asked to stop. It runs in a signal handler: put and return."""
+        """Call `callback` at a request to stop, in a signal handler: put and return."""
         self._told.append(callback)
 
     def set(self, number: int, _frame: FrameType | None = None) -> None:
@@ -73,7 +73,7 @@ class Stop:
 
 @contextmanager
 def lifetime(title: str) -> Iterator[Stop]:
-    """Name this process for `ps`, and turn SIGINT, SIGTERM and the end of its starter into a `Stop`."""
+    """Name this process for `ps`; make SIGINT, SIGTERM and its parent's end a `Stop`."""
     setproctitle(title)
     stop = Stop()
     notes = signal.set_wakeup_fd(begin := _start_signal_thread(stop), warn_on_full_buffer=False)
@@ -90,7 +90,7 @@ def lifetime(title: str) -> Iterator[Stop]:
 
 
 def _start_signal_thread(stop: Stop) -> int:
-    """Start a thread that takes the kernel's notes of signals; gives where they are to be written."""
+    """Start a thread that takes the kernel's notes of signals; return their file descriptor."""
     end, begin = os.pipe()
     os.set_blocking(begin, False)
     threading.Thread(target=_repeat_signal, args=(end, stop), name="signals", daemon=True).start()
@@ -98,7 +98,7 @@ def _start_signal_thread(stop: Stop) -> int:
 
 
 def _repeat_signal(end: int, stop: Stop) -> None:
-    """Send a signal again until it is heard: one that comes right before a wait in C wakes nobody."""
+    """Send a signal again until it is handled: one right before a wait in C wakes no thread."""
     main = threading.main_thread().ident or 0
     while note := os.read(end, 1):
         while note[0] in STOP_SIGNALS and not stop.is_set:
@@ -109,7 +109,7 @@ def _repeat_signal(end: int, stop: Stop) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process once nobody holds the other end of its standard input."""
+    """End this process once the other end of its standard input is closed."""
     while os.read(0, 1024):
         pass
     os.kill(os.getpid(), signal.SIGTERM)
@@ -121,19 +121,19 @@ STANDARD_ERROR = 2
 
 
 class UnbufferedStderr:
-    """Standard error without a buffer; what is said on a full disk is lost, and nobody dies of it."""
+    """Standard error without a buffer; output on a full disk is lost, without an error."""
 
     def write(self, text: str) -> None:
-        """Say it now or never."""
+        """Write text at once."""
         with suppress(OSError):
             os.write(STANDARD_ERROR, text.encode(errors="replace"))
 
     def flush(self) -> None:
-        """Nothing waits."""
+        """Do nothing: no text waits."""
 
 
 def escape_event(_logger: object, _method: str, event: EventDict) -> EventDict:
-    """Escape what others wrote; values that are no strings are shown by their `repr`, which does so too."""
+    """Escape text of others; values that are no strings are shown by `repr`, which does so too."""
     return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
 
 
@@ -173,25 +173,25 @@ STEADY_SECONDS = 5.0  # seconds of life after which the next death starts from t
 
 @dataclass
 class GroupMember:
-    """One process of a crew."""
+    """One process of a group."""
 
     name: str
     arguments: list[str]
     log: Path | None
-    """Where it speaks; None: where this process does."""
+    """File of its output; None: that of this process."""
     process: subprocess.Popen[bytes]
     started: float
     restarts: int = 0
     restart_at: float | None = None
     log_start: int = 0
-    """Where in the log this process began to write."""
+    """Offset in the log at which this process began to write."""
     core: int | None = None
     """The core that it is kept on; None: any."""
 
 
 @dataclass(frozen=True)
 class ProcessExit:
-    """A member of the crew ended."""
+    """A member of the group ended."""
 
     name: str
     exit_code: int
@@ -199,26 +199,21 @@ class ProcessExit:
 
     @property
     def words(self) -> str:
-        """How it ended, for a person."""
+        """The end in words, for a person."""
         if self.exit_code < 0:
             return f"was killed by {signal.Signals(-self.exit_code).name}"
         return f"ended with exit code {self.exit_code}"
 
 
 def back_off(restarts: int) -> float:
-    """Seconds to wait before the next start of a member that was restarted `restarts` times in a row."""
+    """Seconds before the next start of a member that was restarted `restarts` times in a row."""
     return float(min(BACK_OFF_FIRST * 2**restarts, BACK_OFF_LAST))
 
 
 class ProcessGroup:
-    """Processes by name.
+    """Processes by name, each with a log file in `logs`; without a folder they use our output.
 
-    Parameters
-    ----------
-    logs
-        Where each has a log file; None: they speak where this process does.
-    grace
-        Seconds that they may take to stop.
+    `grace` is the seconds that they may take to stop.
     """
 
     def __init__(self, logs: Path | None, grace: float = GRACE) -> None:
@@ -328,7 +323,7 @@ class ProcessGroup:
 
 
 def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
-    """Start a process that lives only as long as we do, in a session of its own, so that Ctrl-C is ours."""
+    """Start a process that ends with this one, in a session of its own, so that Ctrl-C is ours."""
     with nullcontext() if log is None else log.open("ab") as file, _pinned_to(core):
         return subprocess.Popen(
             command,
@@ -341,7 +336,7 @@ def _start(command: list[str], log: Path | None, core: int | None) -> subprocess
 
 
 def _environment() -> dict[str, str]:
-    """Ours, but for certificates: they go with an endpoint, and we say for each whether it is encrypted."""
+    """Our variables without certificates: these go with an endpoint, each encrypted or not."""
     ours = {name: value for name, value in os.environ.items() if name != SECURITY_VARIABLE}
     return {**ours, **ONE_THREAD, SUPERVISED: "1"}
 

@@ -11,7 +11,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", "frames.npy"
-"""The scene's bytes, a `ReplayRequest`, a `ReplayAnswer`, and frames (n, height, width, 3), uint8."""
+"""Scene bytes, `ReplayRequest`, `ReplayAnswer`, frames (n, height, width, 3) in uint8."""
 
 ReplayPart = Literal["all", "closing", "shakes"]
 Phase = Literal["placed", "closing", "shake z", "shake x"]
@@ -21,7 +21,7 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 
 class ReplayRequest(Struct, frozen=True, kw_only=True):
-    """What is to be shown."""
+    """The evaluation to replay, and its pictures."""
 
     genome: tuple[float, ...]
     """Of the prior `given`, each number as float32 has it."""
@@ -30,12 +30,11 @@ class ReplayRequest(Struct, frozen=True, kw_only=True):
     width: int
     height: int
     view: tuple[float, float] | None = None
-    """Azimuth and elevation of the camera about the object's z [deg]; None: where fingers and object are seen
-    best."""
+    """Azimuth and elevation of the camera about the object's z [deg]; None: the best view."""
     what: ReplayPart | None = None
     """The part of the evaluation that is filmed; None: one frame, of the hand after closing."""
     parts: bool = False
-    """Whether the object is drawn as its convex parts, which are simulated, instead of its surface."""
+    """The object is drawn as its convex parts, which are simulated, not as its surface."""
 
 
 class ContactPoint(Struct, frozen=True, kw_only=True):
@@ -44,7 +43,7 @@ class ContactPoint(Struct, frozen=True, kw_only=True):
     link: str
     """Of the hand."""
     is_finger: bool
-    """Whether a touch of this link makes a success."""
+    """A touch of this link makes a success."""
     point: Vector
     """On the object."""
     normal: Vector
@@ -80,7 +79,7 @@ class ReplayCamera(Struct, frozen=True, kw_only=True):
     height: int
 
     def pixels(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Where points (n, 3) are seen: columns and rows (n, 2) from the image's upper left corner."""
+        """Columns and rows (n, 2) of points (n, 3) from the image's upper left corner."""
         whole = np.column_stack([points, np.ones(len(points))])
         clip = whole @ np.array(self.matrix).reshape(4, 4).T
         right, up = (clip[:, :2] / clip[:, 3:]).T
@@ -88,7 +87,7 @@ class ReplayCamera(Struct, frozen=True, kw_only=True):
 
 
 class ReplayAnswer(Struct, frozen=True, kw_only=True):
-    """What was seen."""
+    """Snapshots, camera and contacts of a replay."""
 
     outcome: int
     """`Outcome`."""

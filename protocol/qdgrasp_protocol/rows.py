@@ -24,7 +24,7 @@ from qdgrasp_protocol.errors import MessageError
 
 
 class Outcome(IntEnum):
-    """How an evaluation ended; a greater one got further.
+    """Results of an evaluation, in order: a greater one got further.
 
     Stored as uint8 in messages and journal, so the numbers are part of the format.
     """
@@ -32,7 +32,7 @@ class Outcome(IntEnum):
     ERROR = 0
     """The simulator failed on this row three times; the journal holds the reason."""
     DEAD_END = 1
-    """Nothing to simulate: decoding found no pose, or none of several that is free and promises enough."""
+    """No pose to simulate: decoding found none, or of several none is free and promises enough."""
     OVERLAP = 2
     """The open hand overlaps the object at the commanded pose."""
     MISSED = 3
@@ -73,12 +73,12 @@ class Outcome(IntEnum):
 
 
 TRIALS = 100
-"""Huber et al. 2024: a hundred trials of two shakes, so that the sum of their fitness is at most 200."""
+"""Huber et al. 2024: a hundred trials of two shakes; their fitness sums to at most 200."""
 TRIAL_COUNTS = {"robust": TRIALS}
 
 
 def trial_count(protocol: str) -> int:
-    """How many trials there are besides the nominal evaluation; 0 where a protocol has none."""
+    """Number of trials besides the nominal evaluation; 0 where a protocol has none."""
     return TRIAL_COUNTS.get(protocol, 0)
 
 
@@ -86,7 +86,7 @@ Genomes: TypeAlias = NDArray[np.float32]
 """(n, d): n genomes of d genes each, in [-1, 1]."""
 
 GIVEN = "given"
-"""The prior of poses that are scored as they are: its genes are the pose itself, not numbers in [-1, 1]."""
+"""The prior of poses scored as they are: its genes are the pose, not numbers in [-1, 1]."""
 
 
 NO_SYNERGY = -1  # The label of a pose without a synergy: all driven fingers close
@@ -98,9 +98,9 @@ class Gene:
 
     name: str
     low: float
-    """What -1 stands for, in the gene's own unit (m or rad)."""
+    """Value that -1 stands for, in the gene's own unit (m or rad)."""
     high: float
-    """What +1 stands for."""
+    """Value that +1 stands for."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Layout:
 
     @property
     def intervals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What -1 and +1 stand for, (d,) each."""
+        """Values that -1 and +1 stand for, (d,) each."""
         return np.array([gene.low for gene in self.genes]), np.array([gene.high for gene in self.genes])
 
 
@@ -153,7 +153,7 @@ class RowColumn:
     item: str
     """The numpy item type, little-endian."""
     width: str
-    """How many items: "1", "7", or the letter of a `Shape` field."""
+    """Number of items: "1", "7", or the letter of a `RowShape` field."""
     meaning: str
 
 
@@ -192,7 +192,7 @@ FLOAT_ITEM = "<f4"  # The item type of all columns that do not hold integers
 
 @dataclass(frozen=True)
 class RowShape:
-    """How wide the columns of one run's rows are."""
+    """Widths of the columns of one run's rows."""
 
     genes: int
     joints: int
@@ -204,7 +204,7 @@ class RowShape:
         return np.dtype([self._field(column) for column in COLUMNS])
 
     def width(self, column: RowColumn) -> int:
-        """How many items `column` has in each row."""
+        """The number of items of `column` in each row."""
         return int(column.width) if column.width.isdigit() else int(getattr(self, column.width))
 
     def _field(self, column: RowColumn) -> tuple[str, str] | tuple[str, str, tuple[int]]:

@@ -1,4 +1,4 @@
-"""Sessions on the bus: endpoints, certificates, settings, and why a session could not be opened.
+"""Sessions on the bus: endpoints, certificates, settings, and reasons of failed openings.
 
 An endpoint is where a session listens or connects. A session proves its role with the files of a folder that
 `qdgrasp security init` wrote. One builder makes the settings of every session, for our own processes and for
@@ -36,19 +36,7 @@ ENCRYPTED = frozenset({"tls", "quic"})
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A place on the network, such as `tls/head:7447`.
-
-    Attributes
-    ----------
-    text
-        As it was written.
-    protocol
-        `tcp`, `tls` ...
-    host
-        A name or an address; empty for a socket file.
-    port
-        0 for a socket file.
-    """
+    """A place on the network, such as `tls/head:7447`."""
 
     text: str
     protocol: str
@@ -57,13 +45,7 @@ class Endpoint:
 
     @classmethod
     def parse(cls, text: str) -> "Endpoint":
-        """Read one endpoint.
-
-        Raises
-        ------
-        EndpointError
-            The text is not an endpoint.
-        """
+        """Read one endpoint; an EndpointError if the text is not one."""
         if match := HOST_AND_PORT.fullmatch(text):
             host = match["host"].removeprefix("[").removesuffix("]")
             if (port := int(match["port"])) < 1 << 16:
@@ -89,7 +71,7 @@ class Endpoint:
 
     @property
     def from_here(self) -> str:
-        """Where sessions on this machine get there: over loopback, where it listens everywhere."""
+        """The endpoint for sessions on this machine: loopback, where it listens everywhere."""
         try:
             address = ipaddress.ip_address(self.host)
         except ValueError:
@@ -100,13 +82,7 @@ class Endpoint:
 
 
 def parse_endpoints(text: str) -> tuple[Endpoint, ...]:
-    """Read endpoints that are separated by commas, one or more.
-
-    Raises
-    ------
-    EndpointError
-        A part of the text is not an endpoint.
-    """
+    """Read endpoints that are separated by commas, one or more."""
     return tuple(Endpoint.parse(part) for part in text.split(","))
 
 
@@ -117,13 +93,7 @@ def default_endpoint(*, encrypted: bool) -> Endpoint:
 
 
 def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
-    """See that no stranger gets to where a router listens, or that this is what was asked for.
-
-    Raises
-    ------
-    EndpointError
-        Other machines get there, it is not encrypted, and nobody said that this is meant.
-    """
+    """Check that a router listens where no stranger gets, or is encrypted, or meant to be open."""
     if endpoint.is_local or endpoint.is_encrypted:
         return
     if not insecure:
@@ -136,12 +106,12 @@ def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
 
 
 SECURITY_VARIABLE = "QDGRASP_SECURITY"
-"""Names the folder to commands that somebody starts; processes that a command starts are told by a flag."""
+"""Names the folder to commands started by hand; processes that a command starts get a flag."""
 OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO  # The permissions of everybody but a key's owner
 
 
 class Role(StrEnum):
-    """What a certificate allows; each has one common name, and workers are one class."""
+    """Permission of a certificate; each has one common name, and workers are one class."""
 
     ROUTER = "router"
     """Relays for everybody: `qdgrasp-router`, `zenohd`, a coordinator that listens itself."""
@@ -149,9 +119,9 @@ class Role(StrEnum):
     RECORDER = "recorder"
     WORKER = "worker"
     MONITOR = "monitor"
-    """Watches, and says nothing."""
+    """Watches, and sends nothing."""
     ADMIN = "admin"
-    """Asks how jobs are, hears their figures, and tells a job to pause, go on or end."""
+    """Asks for the state and figures of jobs, and tells a job to pause, go on or end."""
 
     @property
     def common_name(self) -> str:
@@ -161,27 +131,16 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Credentials:
-    """The certificate of a role, its key, and the authority that the other side's must come from.
-
-    Attributes
-    ----------
-    folder
-        Where the files lie.
-    role
-        Which of them.
-    """
+    """The certificate of a role and its key, in `folder`, with the other side's authority."""
 
     folder: Path
     role: Role
 
     @classmethod
     def find(cls, folder: Path | None, role: Role) -> "Credentials | None":
-        """The files of a role in a folder; None where no folder was named.
+        """The files of a role in a folder, checked; None where no folder was named.
 
-        Raises
-        ------
-        SecurityError
-            A file is missing or cannot be read, or others on this machine can read the key.
+        A SecurityError if one is missing or cannot be read, or others on this machine can read the key.
         """
         if folder is None:
             return None
@@ -210,7 +169,7 @@ class Credentials:
         return self.folder / f"{self.role}.json5"
 
     def check(self) -> None:
-        """See that everything is there for us, and that nobody else can read the key."""
+        """Check that all files are there, and that no other user can read the key."""
         try:
             self._check()
         except OSError as error:
@@ -247,7 +206,7 @@ def _forbidden_permissions(key: Path) -> int:
 
 
 Mode = Literal["client", "router"]
-"""Routers relay; everybody else is a client of them."""
+"""Routers relay; all others are clients of them."""
 ZenohSettings = dict[str, object]
 """Values by their path in a zenoh configuration."""
 
@@ -262,7 +221,7 @@ BASE_SETTINGS: ZenohSettings = {
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
 }
-"""What every session is opened with (docs/decisions/0003-bus-sessions-and-access.md)."""
+"""Settings of every session (docs/decisions/0003-bus-sessions-and-access.md)."""
 RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 FOREVER = -1
 
@@ -275,24 +234,11 @@ def session_settings(
     credentials: Credentials | None = None,
     seconds: float = 0.0,
 ) -> ZenohSettings:
-    """The settings of a session.
+    """The settings of a session, whose endpoints are encrypted where there are credentials.
 
-    Parameters
-    ----------
-    listen
-        Where a router listens.
-    connect
-        Routers: a client connects to the first that answers, and to another one when that is lost;
-        a router connects to each, now or later.
-    credentials
-        What the session proves its role with; None: nothing, on links without encryption.
-    seconds
-        How long opening a client may take; a connection lost later is sought for ever.
-
-    Raises
-    ------
-    EndpointError
-        An encrypted endpoint without credentials, or credentials that an endpoint cannot show.
+    A client connects to the first router in `connect` that answers, and to another one when that is lost; a
+    router connects to each, now or later. Opening a client may take so many `seconds`; a connection lost
+    later is sought for ever.
     """
     listening, connecting = tuple(listen), tuple(connect)
     for endpoint in (*listening, *connecting):
@@ -307,7 +253,7 @@ def session_settings(
 
 
 def check_encryption(endpoint: Endpoint, credentials: Credentials | None) -> None:
-    """See that an endpoint is encrypted where, and only where, there are certificates."""
+    """Check that an endpoint is encrypted where, and only where, there are certificates."""
     if endpoint.is_encrypted and credentials is None:
         raise EndpointError(
             f"{endpoint.text} is encrypted and needs certificates: name their folder with --security "
@@ -377,17 +323,7 @@ REFUSAL_SECONDS = (
 
 
 class Unreachable(EndpointError):
-    """No router answers, with the reason for encrypted endpoints.
-
-    Parameters
-    ----------
-    endpoints
-        All that were tried.
-    seconds
-        For how long.
-    credentials
-        What the session showed.
-    """
+    """No router answers, with the reason for encrypted endpoints."""
 
     def __init__(
         self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
@@ -400,15 +336,7 @@ class Unreachable(EndpointError):
 
 
 class NotListening(EndpointError):
-    """A router cannot listen.
-
-    Parameters
-    ----------
-    endpoint
-        Where.
-    error
-        What zenoh says.
-    """
+    """A router cannot listen on an endpoint, by an error of zenoh."""
 
     def __init__(self, endpoint: str, error: str) -> None:
         why = SYSTEM_ERROR.search(error)
@@ -421,12 +349,12 @@ class NotListening(EndpointError):
 
 
 def clean_zenoh_error(error: str) -> str:
-    """What zenoh says, without the places in its source, on one line."""
+    """An error of zenoh without the places in its source, on one line."""
     return " ".join(SOURCE_PLACE.sub("", error).split())[:MAX_ZENOH_ERROR].rstrip(".")
 
 
 def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
-    """Why a handshake at an encrypted endpoint fails; empty where it does not, or where nobody listens."""
+    """The fault of a handshake at an encrypted endpoint; empty if it succeeds or no one listens."""
     import ssl  # a worker that is welcome need not load it
 
     context = ssl.create_default_context(cafile=str(credentials.authority))
@@ -446,14 +374,9 @@ def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
 
 
 def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
-    """Shake hands with a router, and leave; whether it would have kept the link.
+    """Shake hands with a router, and leave; True if it would have kept the link.
 
-    Raises
-    ------
-    ssl.SSLError
-        One side does not trust the other.
-    OSError
-        Nobody listens there.
+    An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
     """
     with (
         socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS) as plain,

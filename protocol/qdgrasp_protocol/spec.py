@@ -20,19 +20,13 @@ from msgspec import Meta, Struct
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 
 MAX_TOML_SIZE = 4 << 20
-"""The most characters that are looked at; 4096 poses of a hand with 25 joints are two million."""
+"""The most characters that are read; 4096 poses of a hand with 25 joints are two million."""
 MAX_DOTS = 64  # The most dots between two separators of a line
 SEPARATORS = re.compile(r"[,={\[]")
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """The values in a TOML text.
-
-    Raises
-    ------
-    InputError
-        The text is not TOML, or longer or deeper than a spec can be.
-    """
+    """The values in a TOML text; an InputError if it is not TOML, or larger than a spec can be."""
     if len(text) > MAX_TOML_SIZE:
         raise InputError(f"{where} has {len(text)} characters, and none may have more than {MAX_TOML_SIZE}.")
     if any(_dots_in_key(line) > MAX_DOTS for line in text.splitlines()):
@@ -53,13 +47,13 @@ def _dots_in_key(line: str) -> int:
 ProtocolName = Literal["paper", "released", "robust"]
 """The evaluation protocols (docs/protocols.md)."""
 Overlaps = Literal["count", "redraw"]
-"""Whether a pose whose open hand overlaps the object counts as an evaluation."""
+"""Counting of poses whose open hand overlaps the object: as evaluations, or drawn again."""
 
 DEFAULT_METHOD = "aimed"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
 VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
-"""What is said of a key's value where it is wrong, besides its bounds."""
+"""Hint on a key's value where it is wrong, besides its bounds."""
 STOP_KEYS = ("evaluations", "successes", "no_new_cell")
 """The keys of a spec that say when a run ends: what may change when it goes on."""
 
@@ -74,12 +68,12 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
     """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
     scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
-    """Metres to a unit of the object's mesh file, which its coordinates are multiplied by; None: 1."""
+    """Metres to a unit of the object's mesh file, a factor of its coordinates; None: 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
     method: str = DEFAULT_METHOD
-    """A search with its prior. Where a run is asked for, it says what `overlaps`, `population` and
-    `generations_in_flight` are unless they are given; their defaults here are the paper's."""
+    """A search with its prior. Where a run is asked for, it sets `overlaps`, `population` and
+    `generations_in_flight` unless they are given; their defaults here are the paper's."""
     protocol: ProtocolName = "paper"
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
@@ -102,22 +96,12 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MAX_POPULATION)] | None = (
         None
     )
-    """The hand poses that the method `given` scores, and no other has: x y z [m], qx qy qz qw, then synergy
+    """Hand poses that the method `given`, and no other, scores: x y z [m], qx qy qz qw, synergy
     label and free joints [rad] where the hand has them; decimals that float32 gives back."""
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
-    """Make a spec of plain values.
-
-    Raises
-    ------
-    UnknownKey
-        A key that no field has; the known ones are named.
-    ImpossibleValue
-        A value of the wrong type or outside what the field allows.
-    InputError
-        `gripper` or `object` is missing.
-    """
+    """Make a spec of plain values; an InputError that names the key if one is unknown or wrong."""
     fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
     for key in values:
         if key not in fields:
@@ -137,13 +121,7 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
 
 
 def read_run_spec(path: Path) -> dict[str, Any]:
-    """The values in a TOML file, not yet checked.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is not TOML.
-    """
+    """The values in a TOML file, not yet checked; an InputError if it cannot be read as TOML."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -154,13 +132,7 @@ def read_run_spec(path: Path) -> dict[str, Any]:
 
 
 def from_toml(text: str, where: str = "spec") -> RunSpec:
-    """The spec in a TOML text; the inverse of `to_toml`.
-
-    Raises
-    ------
-    InputError
-        The text is not TOML, or not a spec; see `run_spec`.
-    """
+    """The spec in a TOML text; the inverse of `to_toml`. Errors are those of `run_spec`."""
     return run_spec(parse_toml(text, where), where)
 
 
@@ -174,12 +146,12 @@ def differences(one: RunSpec, other: RunSpec) -> list[str]:
 
 
 def to_values(spec: RunSpec) -> dict[str, Any]:
-    """The full spec as plain values; fields that are None are left out."""
+    """The full spec as plain values; None fields are left out."""
     return {key: value for key, value in msgspec.structs.asdict(spec).items() if value is not None}
 
 
 def to_toml(spec: RunSpec) -> str:
-    """The full spec as TOML; fields that are None are left out, and each pose has a line."""
+    """The full spec as TOML, a line for each pose; None fields are left out."""
     values = to_values(spec)
     poses = values.pop("poses", ())
     lines = "".join(f"    [{', '.join(map(repr, pose))}],\n" for pose in poses)

@@ -1,4 +1,4 @@
-"""Words for people: names and numbers within sentences, and text of others made safe for a terminal."""
+"""Text for people: names and numbers in sentences, and text of others made safe to print."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -16,7 +16,7 @@ def printable(text: str, most: int | None = None) -> str:
 
 
 def counted(n: int, thing: str, things: str = "", told: Callable[[int], str] = str) -> str:
-    """So many things: "1 run", "2 runs"; `things` where it takes more than an s, `told` writes the number."""
+    """A number with its noun: "1 run", "2 runs"; `things` is an irregular plural."""
     return f"{told(n)} {thing if n == 1 else things or f'{thing}s'}"
 
 
@@ -37,7 +37,7 @@ def join_numbers(values: Iterable[float]) -> str:
 
 
 def parse_numbers(text: str) -> list[float]:
-    """The numbers between commas that somebody has typed; none where there is anything else."""
+    """The numbers between commas; empty if there is anything else."""
     try:
         return [float(word) for word in text.split(",")]
     except ValueError:

@@ -15,7 +15,6 @@ from qdgrasp_protocol.bus import (
     Channel,
     Declaration,
     Query,
-    QueryHandler,
     RingBuffer,
     Sample,
     SampleHandler,
@@ -50,7 +49,7 @@ ERROR_ENCODINGS: dict[type[BusError], str] = {
     Refused: "text/plain;qdgrasp.refusal",
     Faulty: "text/plain;qdgrasp.fault",
 }
-"""The encodings of error replies by what they tell; one without either is zenoh's own (a time-out)."""
+"""Encodings of error replies by error; one without either is zenoh's own (a time-out)."""
 
 MAX_REASON = 1000  # The most bytes that are shown of a refusal
 
@@ -59,7 +58,7 @@ QOS = {
     Channel.CONTROL: (zenoh.CongestionControl.BLOCK, zenoh.Priority.INTERACTIVE_HIGH),
     Channel.MONITOR: (zenoh.CongestionControl.DROP, zenoh.Priority.DATA_LOW),
 }
-"""Congestion control and priority by channel. Links are streams: what is not dropped before is reliable."""
+"""Congestion control and priority by channel; links are streams, reliable unless dropped."""
 
 
 def free_endpoint(credentials: Credentials | None = None) -> str:
@@ -92,20 +91,9 @@ class ZenohBus(Bus):
     ) -> "ZenohBus":
         """Open a session at the router on `endpoint`, trying for `deadline_seconds`.
 
-        Parameters
-        ----------
-        endpoint
-            One, or several separated by commas: the first that answers serves, and when it is lost
-            another one; None: the default one.
-        credentials
-            What the session proves its role with.
-
-        Raises
-        ------
-        EndpointError
-            Nothing answers there in time, or the text is not an endpoint.
-        SystemExit
-            `stop` was set while trying.
+        Of several endpoints, separated by commas, the first that answers serves, and when it is lost another
+        one; None is the default one. An EndpointError if no router answers in time, or the text is not an
+        endpoint; a SystemExit if `stop` was set while trying.
         """
         endpoints = (
             parse_endpoints(endpoint)
@@ -133,26 +121,12 @@ class ZenohBus(Bus):
         credentials: Credentials | None = None,
         insecure: bool = False,
     ) -> "ZenohBus":
-        """Open a session that is the router itself and listens on `endpoint`.
+        """Open a session that is the router itself and listens on `endpoint`, or several.
 
-        Parameters
-        ----------
-        endpoint
-            Where; several are separated by commas.
-        connect
-            Other routers to relay with, now or as soon as they answer.
-        credentials
-            The router's; their folder holds its access list.
-        insecure
-            Listen also where strangers get to.
-
-        Raises
-        ------
-        EndpointError
-            The port is taken, the address is not ours, strangers could get there, or the text is not
-            an endpoint.
-        SecurityError
-            The router's file is no configuration, or has no access list.
+        `connect` names other routers to relay with, now or as soon as they answer. The folder of
+        `credentials` holds the access list. An EndpointError if the port is taken, the address is not ours,
+        or strangers could get there (unless `insecure`); a SecurityError if the router's file is no
+        configuration, or has no access list.
         """
         listening = parse_endpoints(endpoint)
         for place in listening:
@@ -169,13 +143,7 @@ class ZenohBus(Bus):
     def embedded(
         cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
     ) -> tuple["ZenohBus", str]:
-        """Open a router on `endpoint`, or, where that is None, on a free port; and where that is.
-
-        Raises
-        ------
-        EndpointError
-            The endpoint that was named cannot be listened on, or no port is free.
-        """
+        """Open a router on `endpoint`, or on a free port if None; return it with its endpoint."""
         if endpoint is not None:
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
@@ -195,7 +163,7 @@ class ZenohBus(Bus):
         )
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Hear messages."""
+        """Receive messages."""
 
         def heard(sample: zenoh.Sample) -> None:
             handler(_sample(sample))
@@ -214,15 +182,6 @@ class ZenohBus(Bus):
         self._hold(ring, declare)
         return ring
 
-    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries; a query that was let go unanswered ends its asker's waiting."""
-
-        def asked(query: zenoh.Query) -> None:
-            with query:
-                _reply(query, handler)
-
-        return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
-
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
         selector = f"{key}?{parameters}" if parameters else key
@@ -240,11 +199,11 @@ class ZenohBus(Bus):
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
     def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
-        """Answer queries with values."""
+        """Answer queries with values; a query that is let go unanswered ends its asker's waiting."""
 
         def asked(query: zenoh.Query) -> None:
             with query:
-                _show(query, handler)
+                _reply(query, handler)
 
         return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
@@ -261,7 +220,7 @@ class ZenohBus(Bus):
         return self._hold(Declaration(), lambda: self._session.liveliness().declare_token(key))
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of tokens; a change that is none (an echo after a reconnection) is not told."""
+        """Report tokens; an echo after a reconnection is no change, and left out."""
         alive: set[str] = set()
 
         def changed(sample: zenoh.Sample) -> None:
@@ -276,7 +235,7 @@ class ZenohBus(Bus):
         )
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear of the transport to the router."""
+        """Report the state of the transport to the router."""
         if self._mode == "router":
             return Declaration()
 
@@ -291,7 +250,7 @@ class ZenohBus(Bus):
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
 
     def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
-        """Declare something whose callback logs what it raises and falls silent with the declaration."""
+        """Declare with a callback that logs its errors and falls silent with the declaration."""
         declaration = Declaration()
 
         def call(argument: T) -> None:
@@ -348,7 +307,7 @@ def _config(chosen: ZenohSettings, config: zenoh.Config) -> zenoh.Config:
 
 
 def _router_config(credentials: Credentials) -> zenoh.Config:
-    """What a router's file holds, with its access list."""
+    """The contents of a router's file, with its access list."""
     path = credentials.configuration
     try:
         config = zenoh.Config.from_json5(path.read_text())
@@ -364,13 +323,8 @@ def _router_config(credentials: Credentials) -> zenoh.Config:
     return config
 
 
-def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
-    """Answer one query, by the handler's answer or by why there is none."""
-    _show(query, lambda asked: {asked.key: handler(asked)})
-
-
-def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
-    """Answer one query with the values that match it, or by why there are none."""
+def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
+    """Answer one query with the values that match it, or the error."""
     key = str(query.key_expr)
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:

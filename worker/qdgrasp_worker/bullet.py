@@ -58,7 +58,7 @@ BASE = -1  # The index of a body's root link
 
 @dataclass(frozen=True)
 class Motor:
-    """How a joint is driven to a position."""
+    """Gains and limits with which a joint is driven to a position."""
 
     force: float
     """The most it may push [N or Nm]."""
@@ -211,7 +211,7 @@ class Bullet:
         pb.stepSimulation(physicsClientId=self._client)
 
     def touching(self, body: int, other: int) -> bool:
-        """Whether there is any contact between two bodies."""
+        """Return whether there is any contact between two bodies."""
         return bool(pb.getContactPoints(body, other, physicsClientId=self._client))
 
     def contacts(self, body: int, other: int) -> list[Contact]:

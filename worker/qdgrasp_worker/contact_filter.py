@@ -48,7 +48,7 @@ SWEPT_MARGIN = 0.02  # What contacts may bend the hand, and how far Bullet sees 
 
 @dataclass(frozen=True)
 class SweptBox:
-    """A box around everything that an object's centre must be near to be touched, hand frame [m]."""
+    """Box around every place [m], hand frame, in which the object's centre can be touched."""
 
     low: Vector
     high: Vector
@@ -67,7 +67,7 @@ class SweptBox:
         return cls(low, high)
 
     def is_left(self, pose: HandPose, position: Vector, velocity: Vector) -> bool:
-        """Whether an object at `position` with `velocity` is outside for good, for a hand at `pose`.
+        """Return whether an object at this place and velocity is outside for good, hand at `pose`.
 
         Nothing pulls a free object back: beyond a face of the box, and not on its way through it, the
         hand touches it no more.
@@ -108,14 +108,14 @@ UNIT_BOX_CORNERS = np.array(list(product((0.0, 1.0), repeat=3)))
 
 @dataclass(frozen=True)
 class DistanceField:
-    """What shapes pass through, in the frame of a link."""
+    """Lower bounds of the distance to the volume that shapes pass through, in a link's frame."""
 
     distances: VoxelGrid
     """In units of `UNIT`, rounded down; beyond the box its rim stands for what is outside."""
 
     @classmethod
     def of(cls, courses: Iterable[tuple[Hull, Floats]]) -> Self:
-        """The zone of hulls, each on its course of frames (n, 4, 4) that follow closely on each other."""
+        """The field of hulls, each on its course of frames (n, 4, 4) that follow each other closely."""
         paths = [(simplified_hull(hull), course, corner_path(hull, course)) for hull, course in courses]
         low = np.min([corners.min(axis=(0, 1)) for *_, corners in paths], axis=0)
         high = np.max([corners.max(axis=(0, 1)) for *_, corners in paths], axis=0)
@@ -131,20 +131,20 @@ class DistanceField:
         return cls(voxels)
 
     def at(self, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
-        """How far away points (n, 3) are at least, turned by (3, 3) and moved by (3,): (n,)."""
+        """Lower bounds (n,) of the distances of points (n, 3), turned by (3, 3) and moved by (3,)."""
         x, y, z = (points @ turn.T + move).T
         return self.distances.at(x, y, z).astype(np.uint8, copy=False)
 
 
 def corner_path(hull: Hull, course: Floats) -> Floats:
-    """Where the corners of a hull's box are on its course: (n, 8, 3) [m]."""
+    """The corners (n, 8, 3) [m] of a hull's box along its course."""
     corners = hull.low + UNIT_BOX_CORNERS * (hull.high - hull.low)
     places: Floats = corners @ np.moveaxis(course[:, :3, :3], 1, 2) + course[:, None, :3, 3]
     return places
 
 
 def path_samples(corners: Floats) -> list[tuple[int, float]]:
-    """Frames of a path (n, 8, 3), and how far from them points are in the frames that they stand for [m]."""
+    """Frames of a path (n, 8, 3), and the distance [m] of points in frames that each stands for."""
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=2).max(axis=1)
     ways = np.concatenate([[0.0], np.cumsum(steps)])
     _, first = np.unique(np.floor(ways / STRIDE), return_index=True)
@@ -163,7 +163,7 @@ def simplified_hull(hull: Hull) -> Hull:
 
 
 def round_excess(hull: Hull) -> float:
-    """How far a round shape may reach beyond the hull of its corners [m]."""
+    """Distance [m] by which a round shape may reach beyond the hull of its corners."""
     return float(ROUND_EXCESS * np.sort(hull.high - hull.low)[1] / 2)
 
 
@@ -185,7 +185,7 @@ class Balls:
 
 @dataclass(frozen=True)
 class BoundingBalls:
-    """All of the surface is in the small balls, and all of each small ball in one of the large ones."""
+    """Balls that hold the surface: all of it is in the small ones, each of these in a large one."""
 
     large: Balls
     small: Balls
@@ -203,13 +203,13 @@ class BoundingBalls:
 
 
 def coarseness(solid: ObjectSolid) -> float:
-    """How many times larger tiles and cells are than for a small object: 1 up to `FINE_SURFACE`."""
+    """Factor by which tiles and cells are larger than for a small object: 1 to `FINE_SURFACE`."""
     surface = sum(float(triangle_areas(hull).sum()) for hull in solid.hulls)
     return max(1.0, sqrt(surface / FINE_SURFACE))
 
 
 def tile_balls(triangles: Floats, reach: float) -> Balls:
-    """Balls of `reach` [m] at most about the small triangles that triangles (t, 3, 3) are cut into."""
+    """Balls of `reach` [m] at most about the pieces that triangles (t, 3, 3) are cut into."""
     middles, reaches = [], []
     while len(triangles):
         centres = triangles.mean(axis=1)
@@ -290,7 +290,7 @@ NO_CONTACT_FILTER = NoContactFilter()
 
 
 class ContactFilter:
-    """What tells poses at which a scene's hand surely misses.
+    """Finds poses at which a scene's hand surely misses, without the simulator.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ class ContactFilter:
         self._skeleton = HandKinematics(gripper)
         self._mounts = FreeJointLinks(gripper, self._skeleton)
         self.is_known = self._skeleton.is_whole and solid.is_whole and self._mounts.are_still
-        """Whether hand and object are understood; where they are not, it misses nowhere for sure."""
+        """True if all of hand and object is understood; if not, no pose surely misses."""
         self._closing = closing
         opened = [joint.opened for joint in gripper.joints]
         self._at_first = [] if follows_free_joints or not gripper.free_joints else [opened]
@@ -326,7 +326,7 @@ class ContactFilter:
             self._zones[synergy] = self._measure(synergy)
 
     def misses(self, pose: HandPose) -> bool:
-        """Whether the hand, while it closes at `pose`, surely never comes as near as a contact."""
+        """Return whether the hand, closing at `pose`, surely never comes as near as a contact."""
         if not self.is_known:
             return False
         self.watch(pose.synergy)
@@ -345,7 +345,7 @@ class ContactFilter:
                 yield zone, frames[link]
 
     def _is_clear(self, zone: DistanceField, turn: Floats, move: Floats) -> bool:
-        """Whether no ball is near a zone; where a large one is, its small ones are looked up.
+        """Return whether no ball is near a zone; where a large one is, its small ones are looked up.
 
         One that is in the midst of it is enough to give up.
         """
@@ -389,7 +389,7 @@ def interpolate_course(course: Floats) -> Floats:
 
 
 def contact_range(solid: ObjectSolid) -> float:
-    """How far from an object's surface a contact may begin, and somewhat more [m]."""
+    """Distance from an object's surface [m] at which a contact may begin, and somewhat more."""
     low, high = solid.box
     disc = np.linalg.norm(high - low) / 2 + np.linalg.norm(high + low) / 2
     return float(2 * MARGIN + BREAKING * (disc + MARGIN) + STRAY)

@@ -15,15 +15,15 @@ OUTCOME_BY_SHAKES = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 
 
 class EpisodeResult(NamedTuple):
-    """What an episode found."""
+    """Result of an episode."""
 
     outcome: Outcome
     joints: list[float]
-    """Finger joints [rad or m] after closing where that was a success, else as they were at first."""
+    """Finger joints [rad or m] after closing if that was a success, else as they were at first."""
     contacts: int = 0
     """Finger links that touch the object after closing."""
     penetration: float = 0.0
-    """How deep the hand and the object are in each other after closing, 0 or positive [m]."""
+    """Deepest penetration of hand and object after closing, 0 or positive [m]."""
 
     @property
     def fitness(self) -> int:
@@ -33,14 +33,14 @@ class EpisodeResult(NamedTuple):
 
 @dataclass(frozen=True)
 class Episode:
-    """How poses fare in a world under a protocol."""
+    """Simulates poses in a world under a protocol."""
 
     world: World
     protocol: EvaluationProtocol
     reach: ContactFilter | NoContactFilter = NO_CONTACT_FILTER
-    """What tells poses that need no closing; it changes no verdict."""
+    """Finds poses that need no closing; it changes no verdict."""
     stops_early: bool = True
-    """Whether closing ends when the object has left; it changes no verdict."""
+    """Closing ends when the object has left; it changes no verdict."""
 
     def run(self, trial: TrialSetup) -> EpisodeResult:
         """Evaluate one trial, from a clean start."""

@@ -1,4 +1,4 @@
-"""Geometry of the hand: frames of its links, their convex parts, and what its fingers are mounted on.
+"""Geometry of the hand: frames and convex parts of its links, and the mounts of its fingers.
 
 Fingers are mounted on links that stand still while they close: the root, and the links of free joints.
 """
@@ -34,10 +34,10 @@ class HandKinematics:
         self.is_whole = is_all_convex(robot, gripper.meshes) and (
             sum(map(len, self.hulls.values())) == len(list(link_convex_parts(robot, gripper.meshes)))
         )
-        """Whether these are all collision shapes: none is unknown or flat, and none is the carrier's."""
+        """True if these are all collision shapes: all are convex, none flat, none the carrier's."""
 
     def frames(self, postures: Floats) -> dict[str, Floats]:
-        """Each link's frame (n, 4, 4) in the hand's, with the joints at `postures` (n, j) [rad or m]."""
+        """The frame (n, 4, 4) of each link in the hand's, joints at `postures` (n, j) [rad or m]."""
         frames = self.robot.forward(dict(zip(self._joints, postures.T, strict=True)))
         shape = (len(postures), 4, 4)
         return {link: np.broadcast_to(frame, shape) for link, frame in frames.items()}
@@ -69,7 +69,7 @@ class FreeJointLink:
 
 
 class FreeJointLinks:
-    """What the links of a scene's hand stand on."""
+    """The links of a scene's hand that its other links are mounted on."""
 
     def __init__(self, gripper: SceneGripper, skeleton: HandKinematics) -> None:
         self._root = gripper.base_link
@@ -82,7 +82,7 @@ class FreeJointLinks:
         """The mount under each link."""
         still = {self._root}
         self.are_still = not free & driven
-        """Whether all of them stand still: neither free joints nor joints below them are driven."""
+        """True if all of them stand still: no free joint or joint below one is driven."""
         for joint in skeleton.robot.outward(self._root):
             below, is_free = self.under[joint.parent], joint.name in free
             self.under[joint.child] = joint.child if is_free else below

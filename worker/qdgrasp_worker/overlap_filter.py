@@ -20,7 +20,7 @@ SAMPLE_POINTS = 1024
 DRAWN_POINTS = 4096  # How many points are drawn; of them those are kept that are farthest apart
 DEEP_SHARE = 0.4  # The share of points that are drawn from within a part, and not from under its surface
 SURFACE_SCALE = 0.98
-"""How far from a part's centre its surface is taken to be: points of the edge would be on either side."""
+"""Scale of a part's surface about its centre: points of the edge would be on either side."""
 
 
 class HandSurfaceSamples:
@@ -103,7 +103,7 @@ POINTS_AT_ONCE = 1 << 15  # Points that are looked up at once: they fit in the c
 
 
 class OverlapFilter:
-    """What tells overlapping poses of a scene.
+    """Finds poses of a scene at which the hand surely overlaps.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class OverlapFilter:
         return np.sort(np.concatenate(rejected))
 
     def _hits(self, grasps: DecodedGrasps, places: NDArray[np.intp], stage: slice) -> NDArray[np.bool_]:
-        """Which poses have one of the points of a stage inside the object: (p,)."""
+        """(p,): poses that have one of the points of a stage inside the object."""
         step = max(1, POINTS_AT_ONCE // (stage.stop - stage.start))
         starts = range(0, len(places), step)
         parts = [self._look(grasps, places[i : i + step], stage) for i in starts]

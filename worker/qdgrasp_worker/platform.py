@@ -1,4 +1,4 @@
-"""The platform: what decides the bits of results besides scene and genome (docs/reproducibility.md)."""
+"""The platform: all that decides the bits of results besides scene and genome."""
 
 import hashlib
 import platform as machine
@@ -23,7 +23,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import Evaluator
 
 NOT_EVALUATING = frozenset({"cli", "platform", "replay", "runtime"})
-"""Modules and folders of this room that bring work, carry results away or show them, with no say in them."""
+"""Modules and folders of this room that take no part in an evaluation's result."""
 CONTRACTS = (
     qdgrasp_assets.genes,
     qdgrasp_assets.grippers.collision_shapes,
@@ -38,11 +38,11 @@ CONTRACTS = (
 PROBES = 16
 PROBE_GRASPS = 6
 PROBE_AIM = (-1.0, -0.5)
-"""Genes nu and d of the first probes: straight above the surface, so near that they reach the shakes."""
+"""Genes nu and d of the first probes: straight above, so near that they reach the shakes."""
 
 
 def platform() -> dict[str, str]:
-    """Versions, the digest of the evaluation's code, and the digest of what a fixed set of probes gives."""
+    """Versions, the digest of the evaluation's code, and the digest of the probes' results."""
     return {
         "qdgrasp": version("qdgrasp"),
         "pybullet": version("pybullet"),
@@ -70,7 +70,7 @@ def code_digest() -> str:
 
 
 def probe_digest() -> str:
-    """sha256 over the result bytes of the probes, nominal and disturbed; some of them reach the shakes."""
+    """sha256 over the result bytes of the probes, nominal and disturbed; some reach the shakes."""
     genomes, trials = np.tile(probes(), (2, 1)), np.repeat(np.array([0, 1], dtype=np.uint16), PROBES)
     with Evaluator(probe_scene()) as evaluator:
         rows = evaluator.evaluate("approach", genomes, trials).rows

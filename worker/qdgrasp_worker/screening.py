@@ -1,4 +1,4 @@
-"""Screening: which candidate of each genome is simulated, as far as that is known beforehand.
+"""Screening: choose the candidate of each genome to simulate, as far as geometry can tell.
 
 Candidates that surely overlap are left out, the others are ranked by features (docs/methods.md). Two of
 these are of the volume that the closing fingers sweep, and of the direction in which they do. It is a
@@ -27,7 +27,7 @@ from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid, convex_hulls
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]
 STEPS_BETWEEN_LOOKS = 5  # Steps of the closing hand between two looks where its fingers are
 FREE_JOINT_PLACES = 5
-"""At how many places of each free joint a swath is measured; the nearest one stands for a posture."""
+"""Places of each free joint at which a swept volume is measured; the nearest one is used."""
 POSES_AT_ONCE = 64  # Poses that are looked up at once: their points fit in the cache
 MIN_MOTION = 1e-5  # What a finger moves at least from one look to the next to have a direction [m]
 DIRECTION_UNIT = 1 << 12
@@ -41,7 +41,7 @@ class SweptVolume:
     """One way of closing, hand frame."""
 
     voxels: VoxelGrid
-    """The level says which finger comes there first, and when: the greater, the earlier; 0: none does."""
+    """The level tells the first finger there, and its time: greater is earlier; 0: none."""
     ways: NDArray[np.int32]
     """(levels, 3): in which direction across the approach axis it comes, see `directions`."""
 
@@ -72,7 +72,7 @@ class SweptVolumes:
         self._found: dict[tuple[int, ...], SweptVolume] = {}
 
     def shares(self, points: Singles, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
-        """How much of an object's points (p, 3), CoM frame, is in the swath, and is so from opposite sides.
+        """Shares of an object's points (p, 3), CoM frame, that are swept, and from opposite sides.
 
         (places, 2), between 0 and 1; the second is the first, less the length of the mean of the directions
         in which the fingers come to the points.
@@ -88,7 +88,7 @@ class SweptVolumes:
         return shares
 
     def _keys(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.int64]:
-        """What names the swath of each grasp: its synergy, and the place of each of its free joints."""
+        """A number for the swept volume of each grasp, by its synergy and places of its free joints."""
         free = grasps.joints[places][:, self._free].astype(np.float64)
         portions = (free - self._low) / np.where(self._high == self._low, 1.0, self._high - self._low)
         stops = np.rint(np.clip(portions, 0.0, 1.0) * (FREE_JOINT_PLACES - 1)).astype(np.int64)
@@ -140,7 +140,7 @@ def simplified_hulls(parts: Sequence[Hull]) -> list[Hull]:
 def points_in_hand_frames(
     points: Singles, grasps: DecodedGrasps, places: NDArray[np.intp]
 ) -> tuple[Singles, Singles, Singles]:
-    """x, y and z (n, p) of points (p, 3), CoM frame, in the frames of the hands at `places` (n,)."""
+    """x, y, z (n, p) of points (p, 3), CoM frame, in the frames of the hands at `places` (n,)."""
     rotations = np.moveaxis(rotation_matrices(grasps.quaternions[places]), 1, 2)
     return transform_points(points[None], rotations, -rotate_vectors(rotations, grasps.positions[places]))
 
@@ -153,7 +153,7 @@ def rotate_vectors(rotations: Singles, vectors: Singles) -> Singles:
 
 
 DEFAULT_WEIGHTS = np.array([0.25, 1.0, 0.0, 0.0, 0.0, 0.0])
-"""The weights of a genome whose own are all zero: what is swept, and above all from opposite sides."""
+"""Weights of a genome whose own are zero: the swept share, above all from opposite sides."""
 
 
 class PoseFeatures:
@@ -176,7 +176,7 @@ class PoseFeatures:
         return features
 
     def _geometry(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> Floats:
-        """Cos nu, d in its interval, and the contact's height along the approach in object radii: (p, 3)."""
+        """(p, 3): cos nu, d in its interval, the contact's height along the approach [object radii]."""
         points = grasps.surface_points[places].astype(np.float64)
         offsets = grasps.positions[places] - points
         distances = np.sqrt(dot(offsets, offsets))
@@ -187,7 +187,7 @@ class PoseFeatures:
 
 
 def have_threshold(weights: Floats) -> NDArray[np.bool_]:
-    """Which genomes (n,), by their weights (n, f), want a score of 0 or more of what is simulated.
+    """(n,): genomes, by weights (n, f), that want a score of 0 or more of a simulated pose.
 
     Those with a weight for the constant, which changes no order: it says what is not worth a simulation.
     """
@@ -196,7 +196,7 @@ def have_threshold(weights: Floats) -> NDArray[np.bool_]:
 
 
 def candidate_scores(features: NDArray[np.float32], weights: Floats) -> Floats:
-    """How promising poses are: (p,), of their features (p, f) and the weights (p, f) of their genomes."""
+    """Scores (p,) of poses, of their features (p, f) and the weights (p, f) of their genomes."""
     weights = np.where(weights.any(axis=1, keepdims=True), weights, DEFAULT_WEIGHTS)
     total = np.zeros(len(features))
     for i in range(features.shape[1]):
@@ -209,22 +209,22 @@ class Shortlist:
     """The candidates of one genome, by their places in the batch."""
 
     first: int
-    """What stands for the genome where none is simulated: the first that is a pose, or the first."""
+    """The pose that stands for a genome of which none is simulated: a finite one, or the first."""
     poses: int
-    """How many of them are poses; 0: a dead end."""
+    """Number of poses; 0: a dead end."""
     ranked: list[int]
-    """The poses that do not surely overlap, and promise enough, in the order in which they are tried."""
+    """Poses that do not surely overlap and promise enough, in the order in which they are tried."""
     otherwise: Outcome
-    """What it means where none of them is simulated."""
+    """The outcome if none of them is simulated."""
 
     @property
     def is_choice(self) -> bool:
-        """Whether one of several poses is to be found."""
+        """True if one of several poses is to be found."""
         return self.poses > 1
 
 
 class CandidateScreen:
-    """What is known of a scene's poses before they are simulated.
+    """Screens a scene's poses before they are simulated.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ class CandidateScreen:
     def __call__(
         self, grasps: DecodedGrasps, trials: NDArray[np.uint16], wanted: NDArray[np.bool_]
     ) -> tuple[list[Shortlist], NDArray[np.float32]]:
-        """The shortlists of a batch, one for each genome, and the features (poses, f) of what is ranked.
+        """The shortlist of each genome of a batch, and the features (poses, f) of what is ranked.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class CandidateScreen:
     def _rank(
         self, grasps: DecodedGrasps, left: NDArray[np.intp]
     ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-        """The features (poses, f), and those of `left` that promise enough, the best of each genome first."""
+        """The features (poses, f), and those of `left` that promise enough, best first per genome."""
         features = np.zeros((len(grasps), grasps.weights.shape[1]), dtype=np.float32)
         if not features.shape[1]:
             return features, left
@@ -301,7 +301,7 @@ class CandidateScreen:
 def make_shortlists(
     grasps: DecodedGrasps, poses: NDArray[np.intp], order: NDArray[np.intp], otherwise: NDArray[np.integer]
 ) -> list[Shortlist]:
-    """A list for each genome, of the `poses` among a batch of grasps and the `order` in which to try them."""
+    """A list for each genome, of `poses` among the grasps and the `order` in which to try them."""
     genomes = np.arange(len(grasps.weights))
     counts = np.bincount(grasps.rows[poses], minlength=len(genomes))
     first = np.searchsorted(grasps.rows, genomes)

@@ -55,7 +55,7 @@ class Hull:
         )
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """Which of the points (n, 3) [m] are inside: (n,)."""
+        """(n,): True for the points (n, 3) [m] that are inside."""
         inside: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
         heights = points[inside] @ self.normals.T + self.planes[:, 3]
         inside[inside] = np.all(heights <= 0.0, axis=1)
@@ -121,7 +121,7 @@ class VoxelGrid:
         np.maximum(region, inside * self.levels.dtype.type(level), out=region)
 
     def at(self, x: Singles, y: Singles, z: Singles) -> NDArray[Kind]:
-        """The levels at points (...) [m]; outside the box that of the rim, 0 unless it was set to more."""
+        """The levels at points (...) [m]; outside the box that of the rim, 0 unless it was raised."""
         flat = np.zeros(x.shape, dtype=np.int32)
         for axis, values in enumerate((x, y, z)):
             place = (values - self._origin[axis]) * np.float32(1.0 / self.pitch)
@@ -132,7 +132,7 @@ class VoxelGrid:
 
 
 def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Where columns at `x` (a, 1) and `y` (1, b) enter and leave a hull: (a, b) [m].
+    """Heights (a, b) [m] at which columns at `x` (a, 1) and `y` (1, b) enter and leave a hull.
 
     A column that misses it leaves below where it enters.
     """

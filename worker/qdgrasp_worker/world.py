@@ -24,7 +24,7 @@ OBJECT_URDF = """<robot name="object"><link name="object">
 <collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
 </link></robot>
 """
-"""Inertia and contacts as in the public code's runs, where the shape lies off the centre of mass.
+"""Inertia and contacts as in the public code's runs, with the shape off the centre of mass.
 
 Bullet takes the inertia from the collision shape, not from here. The nanometre keeps it from unwrapping
 a shape that stands alone at no offset: a bare hull of the rubiks cube has 5 % less inertia, other margins,
@@ -71,7 +71,7 @@ class ObjectBody:
         self.frictions = target.rolling_friction, target.spinning_friction
         """Its own coefficients of rolling and spinning friction."""
         self.radius = max(math.hypot(*vertex) for vertex in obj_vertices(target.collision))
-        """How far any of it is from its centre of mass [m]."""
+        """Largest distance of a vertex from the centre of mass [m]."""
 
 
 def obj_vertices(obj: bytes) -> Iterator[list[float]]:
@@ -107,7 +107,7 @@ def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int])
 
 AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everything [m]
 FREE_POSTURES = 13
-"""How many places of the free joints the sweep is measured at: every 15 degrees of Barrett's spread."""
+"""Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread."""
 
 
 class World:
@@ -157,7 +157,7 @@ class World:
         self._bullet.set_joints(self._hand.body, self._hand.fingers, posture)
 
     def close_fingers(self, synergy: int) -> None:
-        """Command a synergy's fingers to close, the other driven ones to stay open, the carrier to hold.
+        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
 
         Raises
         ------
@@ -180,7 +180,7 @@ class World:
         self._bullet.step()
 
     def is_touching(self) -> bool:
-        """Whether any link of the hand touches the object."""
+        """Return whether any link of the hand touches the object."""
         return self._bullet.touching(self._hand.body, self._target.body)
 
     def contacts(self) -> list[Contact]:
@@ -188,7 +188,7 @@ class World:
         return self._bullet.contacts(self._hand.body, self._target.body)
 
     def has_lost_object(self, pose: HandPose) -> bool:
-        """Whether the hand at `pose`, while it closes, can touch the object no more."""
+        """Return whether the hand at `pose`, while it closes, can touch the object no more."""
         body = self._target.body
         return self._sweep.is_left(pose, self._bullet.position(body), self._bullet.velocity(body))
 
@@ -210,7 +210,7 @@ class World:
         self._sweep = self._measure_sweep(gripper)
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """The finger joints as they close on nothing, before each step and after the last [rad or m]."""
+        """The finger joints while they close on nothing, before each step and after the last."""
         self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
         self.close_fingers(synergy)
         course = [self.fingers()]
@@ -232,7 +232,7 @@ class World:
         return SweptBox.around(boxes, AWAY_POSITION, self._target.radius)
 
     def _commands(self, gripper: SceneGripper, closing: Sequence[str]) -> list[tuple[int, float, Motor]]:
-        """What is commanded when the joints `closing` close; undriven joints keep Bullet's own motor."""
+        """The motor commands when the joints `closing` close; undriven ones keep Bullet's own motor."""
         held = [
             (index, 0.0, Motor(joint.force, joint.max_velocity))
             for index, joint in zip(self._hand.carrier, gripper.carrier, strict=True)

@@ -76,7 +76,7 @@ class AimedPrior(Prior):
 
 
 def scatter_candidates(genes: Floats, random: Generator, surface: ObjectSurface) -> None:
-    """Draw the candidates (k, g) of one genome in place: position, contact point, roll beside the hint's."""
+    """Draw candidates (k, g) of one genome in place: position, contact point, roll by the hint."""
     k = len(genes)
     genes[:, OMEGA] = 0.0
     if k > 1:

@@ -17,7 +17,7 @@ from qdgrasp_worker.world import World
 
 STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next,
 FRAME_SECONDS = 0.08  # seconds
-"""which is shown this long: what is filmed is 3.2 times slower than it was."""
+"""Seconds for which a frame is shown: 3.2 times slower than simulated."""
 REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
 PARTS: dict[ReplayPart, tuple[str, ...]] = {
     "all": ("placed", "closing", "shake z", "shake x"),
@@ -39,13 +39,7 @@ def still_snapshot(moments: Sequence[Snapshot]) -> Snapshot:
 
 
 def animation(moments: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
-    """What is shown of the moments of an evaluation, in their order.
-
-    Raises
-    ------
-    InputError
-        There is nothing of that part.
-    """
+    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen."""
     chosen = [moment for moment in moments if moment.phase in PARTS[what]]
     if not chosen:
         raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
@@ -65,7 +59,7 @@ PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
 
 
 class RecordingWorld(World):
-    """A world that is asked for the moments of its last evaluation; a context manager that leaves it."""
+    """A world that records its last evaluation; a context manager that leaves it."""
 
     _is_watching = False  # while the world is made its hand closes on nothing
     _phase: Phase = "placed"
@@ -126,7 +120,7 @@ class RecordingWorld(World):
         self.moments.append(self._now())
 
     def _now(self) -> Snapshot:
-        """What there is."""
+        """The present state."""
         hand, target = self._hand.body, self._target.body
         return Snapshot(
             self._phase,

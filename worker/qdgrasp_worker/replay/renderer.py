@@ -23,13 +23,13 @@ from qdgrasp_worker.world import HandBody, load_body
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What there was before a step, or behind it."""
+    """State of hand and object before or after a step."""
 
     phase: Phase
     step: int
     """Steps since the phase began."""
     root: tuple[list[float], list[float]]
-    """Position [m] and quaternion xyzw of the carrier's root link, the object's CoM frame at first."""
+    """Position [m] and quaternion xyzw of the carrier's root link, object's CoM frame at first."""
     joints: list[float]
     """Positions of all joints that move [rad or m], in the order of `RecordingWorld.joints`."""
     object: tuple[list[float], list[float]]
@@ -41,7 +41,7 @@ class Snapshot:
 FIELD_OF_VIEW = np.radians(28.0)  # Of view, from the lower to the upper edge
 FILLED_SHARE = 0.94  # How much of the picture is filled, to the farthest point
 NEAR, FAR = 0.1, 10.0
-"""What is drawn, as shares of the distance [-]."""
+"""Bounds of the drawn depth, as shares of the distance [-]."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class CameraMatrices:
     """(4, 4): from the camera to clip coordinates."""
 
     def camera(self, width: int, height: int) -> ReplayCamera:
-        """As whoever draws over its pictures is told of it."""
+        """The camera in the form of a replay's answer, for drawing over its pictures."""
         matrix = self.projection @ self.view
         return ReplayCamera(
             azimuth=self.azimuth,
@@ -91,7 +91,7 @@ def fit_camera(points: Floats, azimuth: float, elevation: float, aspect: float) 
 
 
 def _camera_axes(azimuth: float, elevation: float) -> Floats:
-    """The camera's axes (3, 3), one in each row: to the right, upward, and back to where it stands."""
+    """The camera's axes (3, 3), a row each: to the right, upward, and back to the camera."""
     back = [
         np.cos(elevation) * np.cos(azimuth),
         np.cos(elevation) * np.sin(azimuth),
@@ -117,7 +117,7 @@ CLAY, STEEL, BLUE = (0.93, 0.84, 0.70, 1.0), (0.66, 0.70, 0.75, 1.0), (0.21, 0.4
 """The object, the hand, and those of its links whose touch makes a success."""
 LIGHT_SETTINGS = {"lightAmbientCoeff": 0.58, "lightDiffuseCoeff": 0.46, "lightSpecularCoeff": 0.03}
 LIGHT_DIRECTION = (-0.5, 1.0, 1.0)
-"""Whence the light comes, in the camera's axes: over the left shoulder of whoever looks."""
+"""Direction to the light in the camera's axes: over the viewer's left shoulder."""
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><geometry><mesh filename="shape.obj"/></geometry></collision>
@@ -161,10 +161,10 @@ def contact_points(
 
 @dataclass(frozen=True)
 class SegmentationMask:
-    """What stands where in a picture."""
+    """The body and link at each pixel of a picture."""
 
     links: NDArray[np.int64]
-    """(rows, columns): the hand's link that is seen there, -1 its root; `NOTHING` where there is none."""
+    """(rows, columns): the hand's link seen there, -1 its root; `NO_LINK` off the hand."""
     is_object: NDArray[np.bool_]
     """(rows, columns): where the object is seen."""
 
@@ -204,7 +204,7 @@ class Renderer:
         self._bullet.place(self._target, *moment.object)
 
     def corners(self) -> Floats:
-        """(n, 3) [m]: the corners of boxes that hold all that is there; the object's eight stand last."""
+        """(n, 3) [m]: corners of boxes that hold all bodies; the object's eight stand last."""
         self._bullet.detect()
         boxes = [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]
         lows, highs = np.moveaxis(np.array([*boxes, self._bullet.box(self._target, BASE)]), 1, 0)
@@ -219,7 +219,7 @@ class Renderer:
         return image
 
     def tell(self, lens: CameraMatrices, width: int, height: int) -> SegmentationMask:
-        """What stands where in the picture of what is there."""
+        """Return the body and link at each pixel of the present picture."""
         flags = pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX
         _, mask = self._see(lens, width, height, shadow=False, flags=flags)
         numbers = mask.astype(np.int64).reshape(height, width)
@@ -256,7 +256,7 @@ class Renderer:
 
 
 def surface_obj(target: SceneObject) -> bytes:
-    """An object's surface as an OBJ file, each triangle with corners of its own, so that edges stay sharp."""
+    """An object's surface as an OBJ file; triangles share no corners, so that edges stay sharp."""
     corners = target.triangles.reshape(-1, 3).tolist()
     vertices = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
     faces = [f"f {first} {first + 1} {first + 2}" for first in range(1, len(corners), 3)]
@@ -277,7 +277,7 @@ def camera_around(
 
 
 def best_view(eye: Renderer, still: Snapshot) -> tuple[float, float]:
-    """Azimuth and elevation [deg] from where the most is seen of both the fingers and the object."""
+    """Azimuth and elevation [deg] from which the most of both fingers and object is seen."""
     corners = corners_around(eye, [still], still)
     eye.show(still)
     views = list(product(AZIMUTHS, ELEVATIONS))
@@ -287,7 +287,7 @@ def best_view(eye: Renderer, still: Snapshot) -> tuple[float, float]:
 
 
 def corners_around(eye: Renderer, moments: Iterable[Snapshot], still: Snapshot) -> Floats:
-    """(n, 3) [m]: corners around hand and object in all moments; an object that is lost is not followed."""
+    """(n, 3) [m]: corners around hand and object in all moments; a lost object is not followed."""
     eye.show(still)
     corners = [eye.corners()]
     for moment in moments:

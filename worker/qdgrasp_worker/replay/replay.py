@@ -74,13 +74,7 @@ class EpisodeReplay:
         self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
 
     def takes(self) -> list[TimedSnapshot]:
-        """What is shown of it.
-
-        Raises
-        ------
-        InputError
-            The part that is asked for did not happen.
-        """
+        """The snapshots to show; an InputError if the part that is asked for did not happen."""
         if self._request.what is None:
             return [TimedSnapshot(still_snapshot(self.moments), REST_SECONDS)]
         return animation(self.moments, self._request.what, self.verdict.outcome)
@@ -138,7 +132,7 @@ class EpisodeReplay:
 
 
 def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
-    """What is simulated."""
+    """The grasp to simulate, disturbed by its trial."""
     genome = np.array([request.genome], dtype=np.float32)
     grasp = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)[0]
     return PROTOCOLS[scene.protocol].trial(grasp, request.trial)
