@@ -52,7 +52,7 @@ VersionOption = Annotated[
     bool,
     typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version, and end."),
 ]
-"""Option of every command that stands alone; it acts before the command's function."""
+"""The --version option of every stand-alone command, handled before the command's function."""
 
 
 BOUND_PREFIX = "Input should be "  # What a word begins with about a number that is out of bounds, or none
@@ -60,9 +60,12 @@ CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
 
 
 def usage_error(error: TyperException, name: str) -> str:
-    """The sentence that refuses a command line: the fault, and the help that tells more.
+    """Describe the error in a command line, and name the help to read.
 
-    `name` is the program's, for errors that do not know their command.
+    Parameters
+    ----------
+    name
+        Name of the program, for errors that do not know their command.
     """
     context = getattr(error, "ctx", None)
     command = name if context is None else context.command_path
@@ -81,7 +84,7 @@ def _usage_words(error: TyperException) -> str:
 
 
 def _faults(error: TyperException) -> Iterator[dict[str, str]]:
-    """The faults found by the validation library, not imported unless there is an error of its."""
+    """Yield the faults of a validation error; avoids importing the library that raises it."""
     faults = getattr(error.__cause__, "errors", None)
     if callable(faults):
         yield from faults()
@@ -91,7 +94,7 @@ SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to
 
 
 def run_command(app: typer.Typer, name: str) -> None:
-    """Run a command line; an error ends it with a sentence on standard error and an exit code."""
+    """Run a command line; an error ends it with a sentence on stderr and an exit code."""
     try:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_on_signal)
@@ -121,14 +124,14 @@ def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
 
 
 def _exit_at_once(number: int, _frame: FrameType | None) -> None:
-    """End a command that is done already; Python prints a trace if its end is disturbed."""
+    """End a finished command at once; Python would print a traceback if disturbed at its end."""
     os._exit(128 + number)
 
 
 def _start_forced_exit() -> None:
-    """End this process some time after a signal, as a call may block handlers for minutes.
+    """End this process some time after a signal, even in a call that blocks its handlers.
 
-    The kernel's note of a signal comes at once, and to another thread. There are none within a `lifetime`.
+    The signal's number comes through a pipe at once, and to another thread. Not used within a `lifetime`.
     """
     end, begin = os.pipe()
     os.set_blocking(begin, False)
@@ -144,7 +147,7 @@ def _wait_for_signal(end: int) -> None:
 
 
 def _print_usage_error(name: str, error: TyperException) -> int:
-    """Print the fault of a command line; an empty one is answered with the whole help."""
+    """Report a wrong command line and return its exit code; an empty one prints the help."""
     words = error.format_message()
     if words.startswith("Usage: "):
         print(words, file=sys.stderr, flush=True)  # noqa: T201  # help is for a person who asked for nothing else
@@ -161,5 +164,5 @@ def _print_error(name: str, sentence: str, code: int) -> int:
 
 
 def _printable_lines(sentence: str) -> str:
-    """The lines of a sentence, in which there may be words of others."""
+    """Return the lines of a sentence, escaped, as it may contain untrusted text."""
     return "\n".join(map(printable, sentence.split("\n")))

@@ -54,7 +54,7 @@ from qdgrasp_protocol.text import first_few, quoted
 
 
 class QdgraspError(Exception):
-    """The root of the family. `exit_code` is what a command that ends with it returns."""
+    """Base class of all errors; `exit_code` is that of a command that ends with it."""
 
     exit_code = 1
 
@@ -83,7 +83,7 @@ class UnknownKey(InputError):
 
 
 def _guess(name: str, names: Sequence[str]) -> str:
-    """A sentence with the name that may have been meant; empty: no name is near."""
+    """Suggest the name that may have been meant, in a sentence; empty if no name is near."""
     close = get_close_matches(name, names, n=1)
     return f" Did you mean '{close[0]}'?" if close else ""
 
@@ -100,7 +100,7 @@ class AssetError(InputError):
 
 
 class WrongScan(AssetError):
-    """A fetched file is not the one expected; it was thrown away."""
+    """Fetched data that is not the expected scan; it was deleted."""
 
     def __init__(self, name: str, reason: object) -> None:
         super().__init__(f"What was fetched for '{name}' was thrown away: {reason}")
@@ -122,7 +122,15 @@ class FolderError(InputError):
 
 
 class NoFolder(FolderError):
-    """A path that is no folder of a run or job; `is_there`: it is something else."""
+    """A path that should be the folder of a run or job, and is not.
+
+    Parameters
+    ----------
+    path
+        The path that was named.
+    is_there
+        Whether something else is there.
+    """
 
     def __init__(self, path: object, *, is_there: bool) -> None:
         super().__init__(
@@ -133,14 +141,22 @@ class NoFolder(FolderError):
 
 
 class DiskFull(FolderError):
-    """There is no room to write in a run folder; what was written before is whole."""
+    """No disk space to write in a run folder; earlier content is intact."""
 
 
 class OutputError(FolderError):
-    """A path where something cannot be written; what is there was left as it was.
+    """A path that cannot be written; its old content is unchanged.
 
-    `why` completes the sentence that the path begins, `instead` is advice, empty where there is none, and
-    `forces` says that `--force` helps too.
+    Parameters
+    ----------
+    path
+        The path.
+    why
+        The obstacle or the failure.
+    instead
+        Advice; empty where it is obvious.
+    forces
+        Whether `--force` helps too.
     """
 
     def __init__(self, path: object, why: str, instead: str = "", *, forces: bool = False) -> None:
@@ -149,7 +165,17 @@ class OutputError(FolderError):
 
 
 class OtherRun(FolderError):
-    """A journal in a folder where a file is of another run; `of` and `than` tell them in words."""
+    """A journal in a folder whose other files are of another run.
+
+    Parameters
+    ----------
+    journal
+        The journal.
+    file
+        The file of another run.
+    of, than
+        Descriptions of their runs, of the same kind.
+    """
 
     def __init__(self, journal: object, file: object, of: str, than: str) -> None:
         super().__init__(
@@ -158,14 +184,30 @@ class OtherRun(FolderError):
 
 
 class EndsTooSoon(InputError):
-    """A run that is to end before what is recorded of it."""
+    """A stop criterion that is below what is recorded of the run.
+
+    Parameters
+    ----------
+    folder
+        The run's.
+    reason
+        The criterion, and what is recorded.
+    """
 
     def __init__(self, folder: object, reason: ImpossibleValue) -> None:
         super().__init__(f"{folder} cannot end as is asked: {reason}")
 
 
 class JawNeeded(InputError):
-    """A prior for two-finger hands was asked for with another hand."""
+    """A prior for two-finger hands with a hand that does not have two fingers.
+
+    Parameters
+    ----------
+    prior
+        The prior.
+    gripper
+        The hand.
+    """
 
     def __init__(self, prior: str, gripper: str) -> None:
         super().__init__(
@@ -183,19 +225,19 @@ class SecurityError(InputError):
 
 
 class BusError(QdgraspError):
-    """The bus did not do what was asked."""
+    """Failure of an operation on the bus."""
 
 
 class Refused(BusError):
-    """The other side answered a query with a reason why not."""
+    """Refusal of a query by the other side, with its reason."""
 
 
 class NoReply(BusError):
-    """A query was not answered in time."""
+    """Query without an answer in time."""
 
 
 class Faulty(BusError):
-    """The other side failed by a fault of its own, which is in its log; next time it may not."""
+    """Internal error of the side that was queried, logged there; a retry may succeed."""
 
 
 class MessageError(QdgraspError):
@@ -218,7 +260,7 @@ class RunsFailed(InputError):
     """Runs of a job, one or more of a total, that could not be carried out, when the others are."""
 
     NAMED = 10
-    """Number of runs that are named besides the first."""
+    """Most runs named besides the first."""
 
     def __init__(self, failures: Sequence[RunFailed], total: int) -> None:
         first, *others = failures
@@ -233,7 +275,17 @@ class RunsFailed(InputError):
 
 
 class RecorderFellBack(QdgraspError):
-    """A recorder lost rows that it reported durable, or has rows that were never sent."""
+    """A recorder that lost rows it reported durable, or has rows that were never sent.
+
+    Parameters
+    ----------
+    reported
+        Number of rows it now reports durable.
+    durable
+        Number it reported before.
+    sent
+        Number of rows that exist.
+    """
 
     def __init__(self, reported: int, durable: int, sent: int) -> None:
         super().__init__(
@@ -241,23 +293,28 @@ class RecorderFellBack(QdgraspError):
             "restored or it serves another coordinator; the run is to be replayed from its journal."
         )
         self.run = ""
-        """The run of these rows; empty where there is one run only."""
+        """Run of the rows; empty where there is one run only."""
 
     def of(self, run: str) -> "RecorderFellBack":
-        """The same, for a run."""
+        """Return the same error, with the name of its run."""
         self.run = run
         return self
 
 
 class EndedEarly(QdgraspError):
-    """The job stopped before its budget; `qdgrasp resume` goes on."""
+    """End of a job before its budget; `qdgrasp resume` continues it."""
 
 
 class Cancelled(EndedEarly):
-    """The job's coordinator was told by an admin to end, which it does as asked.
+    """End of a job by a cancel request.
 
-    To the coordinator this is no failure, and it is not to be started again. To those who wait for the job,
-    such as `qdgrasp run`, it is an `EndedEarly` like any other.
+    To the coordinator this is not a failure, and it is not to be started again. To a process that waits for
+    the job, such as `qdgrasp run`, it is an `EndedEarly` like any other.
+
+    Parameters
+    ----------
+    job
+        Its name.
     """
 
     exit_code = 0
@@ -267,7 +324,15 @@ class Cancelled(EndedEarly):
 
 
 class TookOver(EndedEarly):
-    """Another coordinator goes on with the job; this one ends, and is not to be started again."""
+    """End of a coordinator as another one took over the job; it is not to be started again.
+
+    Parameters
+    ----------
+    job
+        Its name.
+    epoch
+        The other coordinator's.
+    """
 
     exit_code = 3
 
@@ -276,11 +341,11 @@ class TookOver(EndedEarly):
 
     @staticmethod
     def refusal(own: int, other: int) -> Refused:
-        """The recorder's answer to a coordinator of an epoch that is over."""
+        """Return a recorder's refusal of a coordinator whose epoch is over."""
         return Refused(f"epoch {own} is over: another coordinator took over with {other}")
 
     @classmethod
     def told_by(cls, refusal: Exception, job: str) -> "TookOver | None":
-        """The error that a recorder's refusal stands for; None if it is another refusal."""
+        """Return the error if a recorder's refusal is one of `refusal`, else None."""
         found = re.search(r"another coordinator took over with (\d+)", str(refusal))
         return cls(job, found[1]) if found else None

@@ -36,7 +36,19 @@ ENCRYPTED = frozenset({"tls", "quic"})
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A place on the network, such as `tls/head:7447`."""
+    """A network address, such as `tls/head:7447`.
+
+    Attributes
+    ----------
+    text
+        As it was written.
+    protocol
+        `tcp`, `tls` ...
+    host
+        A name or an address; empty for a socket file.
+    port
+        0 for a socket file.
+    """
 
     text: str
     protocol: str
@@ -56,12 +68,12 @@ class Endpoint:
 
     @property
     def is_encrypted(self) -> bool:
-        """Needs certificates, and is protected by them."""
+        """True if it needs certificates and is protected by them."""
         return self.protocol in ENCRYPTED
 
     @property
     def is_local(self) -> bool:
-        """Only this machine gets there."""
+        """True if only this machine can reach it."""
         if not self.host:
             return True
         try:
@@ -71,7 +83,7 @@ class Endpoint:
 
     @property
     def from_here(self) -> str:
-        """The endpoint for sessions on this machine: loopback, where it listens everywhere."""
+        """Address for sessions on this machine: loopback, if it listens on all interfaces."""
         try:
             address = ipaddress.ip_address(self.host)
         except ValueError:
@@ -87,13 +99,19 @@ def parse_endpoints(text: str) -> tuple[Endpoint, ...]:
 
 
 def default_endpoint(*, encrypted: bool) -> Endpoint:
-    """The default endpoint: on loopback."""
+    """Return the default endpoint: on loopback."""
     protocol = "tls" if encrypted else "tcp"
     return Endpoint(f"{protocol}/{LOOPBACK}:{PORT}", protocol, LOOPBACK, PORT)
 
 
 def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
-    """Check that a router listens where no stranger gets, or is encrypted, or meant to be open."""
+    """Check that a router's endpoint is local or encrypted, unless told otherwise.
+
+    Raises
+    ------
+    EndpointError
+        Other machines can reach it, it is not encrypted, and that was not asked for.
+    """
     if endpoint.is_local or endpoint.is_encrypted:
         return
     if not insecure:
@@ -106,39 +124,47 @@ def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
 
 
 SECURITY_VARIABLE = "QDGRASP_SECURITY"
-"""Names the folder to commands started by hand; processes that a command starts get a flag."""
+"""Names the folder for commands that users start; their child processes get a flag instead."""
 OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO  # The permissions of everybody but a key's owner
 
 
 class Role(StrEnum):
-    """Permission of a certificate; each has one common name, and workers are one class."""
+    """Role that a certificate is for; each has one common name, and all workers share one."""
 
     ROUTER = "router"
-    """Relays for everybody: `qdgrasp-router`, `zenohd`, a coordinator that listens itself."""
+    """Relays for all: `qdgrasp-router`, `zenohd`, a coordinator that listens itself."""
     COORDINATOR = "coordinator"
     RECORDER = "recorder"
     WORKER = "worker"
     MONITOR = "monitor"
-    """Watches, and sends nothing."""
+    """Subscribes to figures, and publishes nothing."""
     ADMIN = "admin"
-    """Asks for the state and figures of jobs, and tells a job to pause, go on or end."""
+    """Queries the state of jobs, receives their figures, and pauses, continues or ends a job."""
 
     @property
     def common_name(self) -> str:
-        """The common name of its certificates, which the routers' access list goes by."""
+        """Common name of its certificates, which the routers' access list uses."""
         return f"qdgrasp-{self.value}"
 
 
 @dataclass(frozen=True)
 class Credentials:
-    """The certificate of a role and its key, in `folder`, with the other side's authority."""
+    """The certificate of a role, its key, and the authority of the other side's certificate.
+
+    Attributes
+    ----------
+    folder
+        Folder of the files.
+    role
+        Role that they are of.
+    """
 
     folder: Path
     role: Role
 
     @classmethod
     def find(cls, folder: Path | None, role: Role) -> "Credentials | None":
-        """The files of a role in a folder, checked; None where no folder was named.
+        """Return the files of a role in a folder; None if no folder is named.
 
         A SecurityError if one is missing or cannot be read, or others on this machine can read the key.
         """
@@ -169,7 +195,7 @@ class Credentials:
         return self.folder / f"{self.role}.json5"
 
     def check(self) -> None:
-        """Check that all files are there, and that no other user can read the key."""
+        """Check that all files are readable, and that other users cannot read the key."""
         try:
             self._check()
         except OSError as error:
@@ -197,7 +223,7 @@ class Credentials:
 
 
 def _forbidden_permissions(key: Path) -> int:
-    """The permissions that a key must not give.
+    """Return the permissions that a key must not have.
 
     Kubernetes and systemd hand a key to a service so: it stays root's, and a group of one may read it.
     """
@@ -206,7 +232,7 @@ def _forbidden_permissions(key: Path) -> int:
 
 
 Mode = Literal["client", "router"]
-"""Routers relay; all others are clients of them."""
+"""Session mode: routers relay, all other sessions are clients of them."""
 ZenohSettings = dict[str, object]
 """Values by their path in a zenoh configuration."""
 
@@ -221,7 +247,7 @@ BASE_SETTINGS: ZenohSettings = {
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
 }
-"""Settings of every session (docs/decisions/0003-bus-sessions-and-access.md)."""
+"""Settings common to all sessions (docs/decisions/0003-bus-sessions-and-access.md)."""
 RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 FOREVER = -1
 
@@ -234,7 +260,7 @@ def session_settings(
     credentials: Credentials | None = None,
     seconds: float = 0.0,
 ) -> ZenohSettings:
-    """The settings of a session, whose endpoints are encrypted where there are credentials.
+    """Return the settings of a session.
 
     A client connects to the first router in `connect` that answers, and to another one when that is lost; a
     router connects to each, now or later. Opening a client may take so many `seconds`; a connection lost
@@ -267,7 +293,7 @@ def check_encryption(endpoint: Endpoint, credentials: Credentials | None) -> Non
 
 
 def nest_settings(values: Mapping[str, object]) -> dict[str, Any]:
-    """Settings as the tree that a configuration file holds."""
+    """Return settings as the tree that a configuration file holds."""
     tree: dict[str, Any] = {}
     for path, value in values.items():
         *branches, leaf = path.split("/")
@@ -279,7 +305,7 @@ def nest_settings(values: Mapping[str, object]) -> dict[str, Any]:
 
 
 def to_json5(values: Mapping[str, object], comment: str) -> str:
-    """A zenoh configuration file with these settings, under a comment."""
+    """Return a zenoh configuration file with these settings, under a comment."""
     head = "".join(f"// {line}\n" for line in comment.splitlines())
     return f"{head}{json.dumps(nest_settings(values), indent=2)}\n"
 
@@ -296,7 +322,7 @@ def _endpoint_settings(
 
 
 def _tls_settings(mode: Mode, credentials: Credentials) -> ZenohSettings:
-    """Both sides show a certificate, and a link ends with the certificate it was opened by."""
+    """Return the TLS settings: both sides show a certificate, and links end when it expires."""
     certificate, key = str(credentials.certificate), str(credentials.key)
     shown: ZenohSettings = {"connect_certificate": certificate, "connect_private_key": key}
     if mode == "router":
@@ -323,7 +349,17 @@ REFUSAL_SECONDS = (
 
 
 class Unreachable(EndpointError):
-    """No router answers, with the reason for encrypted endpoints."""
+    """Error when no router answers, with the reason for encrypted endpoints.
+
+    Parameters
+    ----------
+    endpoints
+        All that were tried.
+    seconds
+        Time spent trying.
+    credentials
+        Credentials of the session.
+    """
 
     def __init__(
         self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
@@ -349,12 +385,12 @@ class NotListening(EndpointError):
 
 
 def clean_zenoh_error(error: str) -> str:
-    """An error of zenoh without the places in its source, on one line."""
+    """Return zenoh's message on one line, without places in its source."""
     return " ".join(SOURCE_PLACE.sub("", error).split())[:MAX_ZENOH_ERROR].rstrip(".")
 
 
 def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
-    """The fault of a handshake at an encrypted endpoint; empty if it succeeds or no one listens."""
+    """Return why a TLS handshake fails; empty if it succeeds, or the port is closed."""
     import ssl  # a worker that is welcome need not load it
 
     context = ssl.create_default_context(cafile=str(credentials.authority))
@@ -374,7 +410,7 @@ def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
 
 
 def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
-    """Shake hands with a router, and leave; True if it would have kept the link.
+    """Shake hands with a router, and close; returns whether it would have kept the link.
 
     An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
     """

@@ -49,7 +49,7 @@ ERROR_ENCODINGS: dict[type[BusError], str] = {
     Refused: "text/plain;qdgrasp.refusal",
     Faulty: "text/plain;qdgrasp.fault",
 }
-"""Encodings of error replies by error; one without either is zenoh's own (a time-out)."""
+"""Encodings of error replies by error; a reply without either is zenoh's own (time-out)."""
 
 MAX_REASON = 1000  # The most bytes that are shown of a refusal
 
@@ -58,11 +58,11 @@ QOS = {
     Channel.CONTROL: (zenoh.CongestionControl.BLOCK, zenoh.Priority.INTERACTIVE_HIGH),
     Channel.MONITOR: (zenoh.CongestionControl.DROP, zenoh.Priority.DATA_LOW),
 }
-"""Congestion control and priority by channel; links are streams, reliable unless dropped."""
+"""Congestion control and priority by channel; links are streams: only drops lose messages."""
 
 
 def free_endpoint(credentials: Credentials | None = None) -> str:
-    """The default endpoint on loopback if its port is free, else one on a port that is free now."""
+    """Return the default loopback endpoint if its port is free, else one on a free port."""
     default = default_endpoint(encrypted=credentials is not None)
     for port in (default.port, 0):
         try:
@@ -143,7 +143,13 @@ class ZenohBus(Bus):
     def embedded(
         cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
     ) -> tuple["ZenohBus", str]:
-        """Open a router on `endpoint`, or on a free port if None; return it with its endpoint."""
+        """Open a router on `endpoint`, or on a free port for None; returns the endpoint too.
+
+        Raises
+        ------
+        EndpointError
+            The endpoint that was named cannot be listened on, or no port is free.
+        """
         if endpoint is not None:
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
@@ -154,7 +160,7 @@ class ZenohBus(Bus):
         return cls.router(chosen, credentials=credentials), chosen
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        """Publish one message; a Publisher per key would leak memory on every join."""
+        """Publish one message, without a Publisher per key, which would leak memory on every join."""
         congestion_control, priority = QOS[channel]
         self._try(
             lambda: self._session.put(
@@ -163,7 +169,7 @@ class ZenohBus(Bus):
         )
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Receive messages."""
+        """Subscribe to messages."""
 
         def heard(sample: zenoh.Sample) -> None:
             handler(_sample(sample))
@@ -171,7 +177,7 @@ class ZenohBus(Bus):
         return self._declare(heard, lambda call: self._session.declare_subscriber(pattern, call))
 
     def ring(self, pattern: str, capacity: int) -> RingBuffer:
-        """Keep messages in a ring of zenoh's own."""
+        """Buffer messages in a zenoh ring channel."""
         ring = ZenohRing()
         channel: Any = zenoh.handlers.RingChannel(capacity)
 
@@ -181,6 +187,15 @@ class ZenohBus(Bus):
 
         self._hold(ring, declare)
         return ring
+
+    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
+        """Answer queries; an unanswered query is released, which ends the asker's wait."""
+
+        def asked(query: zenoh.Query) -> None:
+            with query:
+                _reply(query, handler)
+
+        return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
@@ -208,7 +223,7 @@ class ZenohBus(Bus):
         return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
-        """Query all there are."""
+        """Query all matching keys."""
         replies = self._try(
             lambda: self._session.get(pattern, timeout=timeout, consolidation=zenoh.ConsolidationMode.NONE)
         )
@@ -216,11 +231,11 @@ class ZenohBus(Bus):
         return {str(sample.key_expr): sample.payload.to_bytes() for sample in found}
 
     def token(self, key: str) -> AbstractContextManager[None]:
-        """Be alive; the session declares it again whenever it is connected again."""
+        """Declare a liveliness token, which zenoh declares again at each reconnection."""
         return self._hold(Declaration(), lambda: self._session.liveliness().declare_token(key))
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Report tokens; an echo after a reconnection is no change, and left out."""
+        """Watch tokens; repeated states (echoes after a reconnection) are not reported."""
         alive: set[str] = set()
 
         def changed(sample: zenoh.Sample) -> None:
@@ -235,7 +250,7 @@ class ZenohBus(Bus):
         )
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Report the state of the transport to the router."""
+        """Report changes of the transport to the router."""
         if self._mode == "router":
             return Declaration()
 
@@ -245,12 +260,12 @@ class ZenohBus(Bus):
         return self._declare(changed, self._session.info.declare_transport_events_listener)
 
     def close(self) -> None:
-        """Close the session; a process that does not hangs at its end."""
+        """Close the session; without it the process hangs at its end."""
         self._held.clear()
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
 
     def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
-        """Declare with a callback that logs its errors and falls silent with the declaration."""
+        """Declare a callback; its errors are logged, and it is not called after the end."""
         declaration = Declaration()
 
         def call(argument: T) -> None:
@@ -263,7 +278,7 @@ class ZenohBus(Bus):
         return self._hold(declaration, lambda: declare(call))
 
     def _hold(self, declaration: Declaration, declare: Callable[[], Any]) -> Declaration:
-        """Declare something, and hold it until it is taken back."""
+        """Declare something, and hold it until it is undone."""
         entity = self._try(declare)
 
         def undo() -> None:
@@ -287,7 +302,7 @@ class ZenohRing(RingBuffer):
     subscriber: Any
 
     def take(self) -> list[Sample]:
-        """Take what is there."""
+        """Take the buffered messages."""
         taken = []
         with suppress(zenoh.ZError):  # the session was closed
             while self.holds and (sample := self.subscriber.try_recv()) is not None:
@@ -300,14 +315,14 @@ def _sample(sample: zenoh.Sample) -> Sample:
 
 
 def _config(chosen: ZenohSettings, config: zenoh.Config) -> zenoh.Config:
-    """A configuration with these settings over what it holds."""
+    """Apply settings to a configuration."""
     for name, value in chosen.items():
         config.insert_json5(name, json.dumps(value))
     return config
 
 
 def _router_config(credentials: Credentials) -> zenoh.Config:
-    """The contents of a router's file, with its access list."""
+    """Return a router's configuration file, after a check of its access list."""
     path = credentials.configuration
     try:
         config = zenoh.Config.from_json5(path.read_text())
@@ -323,8 +338,13 @@ def _router_config(credentials: Credentials) -> zenoh.Config:
     return config
 
 
-def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
-    """Answer one query with the values that match it, or the error."""
+def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
+    """Answer one query with the handler's answer, or its error."""
+    _show(query, lambda asked: {asked.key: handler(asked)})
+
+
+def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
+    """Answer one query with the values that match it, or the handler's error."""
     key = str(query.key_expr)
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:
@@ -341,5 +361,5 @@ def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
 
 
 def _reason(payload: bytes) -> str:
-    """The reason of a refusal as it may be shown to a person."""
+    """Return a refusal's reason, escaped for a person."""
     return printable(payload[:MAX_REASON].decode(errors="ignore"))
