@@ -48,7 +48,7 @@ class LivelinessToken(Registration):
 
 
 class Subscriber(Registration):
-    """A subscription of a session."""
+    """A session receives messages."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: SampleHandler) -> None:
         super().__init__(session, pattern)
@@ -88,7 +88,7 @@ class Queryable(Registration):
 
 
 class LivelinessWatcher(Registration):
-    """A watch on tokens; it remembers which ones it reported alive."""
+    """A session watches tokens; it knows those that were reported alive."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: TokenHandler) -> None:
         super().__init__(session, pattern)
@@ -137,7 +137,7 @@ class MemoryNetwork:
             return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
 
     def tell_tokens(self) -> None:
-        """Have every watcher report changes in the tokens it can reach."""
+        """Report the tokens that it can see to every watcher."""
         with self._lock:
             for watcher in [e for e in self._entries if isinstance(e, LivelinessWatcher)]:
                 watcher.look([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
@@ -165,7 +165,7 @@ class MemoryBus(Bus):
         self._set_cut(False)
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        """Deliver a message to all its subscribers before this call returns."""
+        """Deliver a message to every subscriber before this call returns."""
         self._check_open()
         sample = Sample(key, bytes(payload), encoding)
         for subscriber in self._network.visible(Subscriber, self):

@@ -124,12 +124,12 @@ class UnbufferedStderr:
     """Standard error without a buffer; write errors, as on a full disk, are ignored."""
 
     def write(self, text: str) -> None:
-        """Write at once; text that cannot be written is lost."""
+        """Write text at once."""
         with suppress(OSError):
             os.write(STANDARD_ERROR, text.encode(errors="replace"))
 
     def flush(self) -> None:
-        """Do nothing, as nothing is buffered."""
+        """Do nothing: no text waits."""
 
 
 def escape_event(_logger: object, _method: str, event: EventDict) -> EventDict:
@@ -173,7 +173,7 @@ STEADY_SECONDS = 5.0  # seconds of life after which the next death starts from t
 
 @dataclass
 class GroupMember:
-    """One process of a `ProcessGroup`."""
+    """One process of a group."""
 
     name: str
     arguments: list[str]
@@ -191,7 +191,7 @@ class GroupMember:
 
 @dataclass(frozen=True)
 class ProcessExit:
-    """End of a process of a `ProcessGroup`."""
+    """A member of the group ended."""
 
     name: str
     exit_code: int
@@ -211,14 +211,9 @@ def back_off(restarts: int) -> float:
 
 
 class ProcessGroup:
-    """Child processes by name, started again on request and ended together.
+    """Processes by name, each with a log file in `logs`; without a folder they use our output.
 
-    Parameters
-    ----------
-    logs
-        Folder of the log files, one for each; None: this process's standard error.
-    grace
-        Seconds that they may take to stop.
+    `grace` is the seconds that they may take to stop.
     """
 
     def __init__(self, logs: Path | None, grace: float = GRACE) -> None:

@@ -36,19 +36,7 @@ ENCRYPTED = frozenset({"tls", "quic"})
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A network address, such as `tls/head:7447`.
-
-    Attributes
-    ----------
-    text
-        As it was written.
-    protocol
-        `tcp`, `tls` ...
-    host
-        A name or an address; empty for a socket file.
-    port
-        0 for a socket file.
-    """
+    """A place on the network, such as `tls/head:7447`."""
 
     text: str
     protocol: str
@@ -73,7 +61,7 @@ class Endpoint:
 
     @property
     def is_local(self) -> bool:
-        """True if only this machine can reach it."""
+        """Only this machine gets there."""
         if not self.host:
             return True
         try:
@@ -105,13 +93,7 @@ def default_endpoint(*, encrypted: bool) -> Endpoint:
 
 
 def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
-    """Check that a router's endpoint is local or encrypted, unless told otherwise.
-
-    Raises
-    ------
-    EndpointError
-        Other machines can reach it, it is not encrypted, and that was not asked for.
-    """
+    """Check that a router listens where no stranger gets, or is encrypted, or meant to be open."""
     if endpoint.is_local or endpoint.is_encrypted:
         return
     if not insecure:
@@ -137,9 +119,9 @@ class Role(StrEnum):
     RECORDER = "recorder"
     WORKER = "worker"
     MONITOR = "monitor"
-    """Subscribes to figures, and publishes nothing."""
+    """Watches, and sends nothing."""
     ADMIN = "admin"
-    """Queries the state of jobs, receives their figures, and pauses, continues or ends a job."""
+    """Asks for the state and figures of jobs, and tells a job to pause, go on or end."""
 
     @property
     def common_name(self) -> str:
@@ -164,7 +146,7 @@ class Credentials:
 
     @classmethod
     def find(cls, folder: Path | None, role: Role) -> "Credentials | None":
-        """Return the files of a role in a folder; None if no folder is named.
+        """The files of a role in a folder, checked; None where no folder was named.
 
         A SecurityError if one is missing or cannot be read, or others on this machine can read the key.
         """
@@ -232,7 +214,7 @@ def _forbidden_permissions(key: Path) -> int:
 
 
 Mode = Literal["client", "router"]
-"""Session mode: routers relay, all other sessions are clients of them."""
+"""Routers relay; all others are clients of them."""
 ZenohSettings = dict[str, object]
 """Values by their path in a zenoh configuration."""
 
@@ -260,7 +242,7 @@ def session_settings(
     credentials: Credentials | None = None,
     seconds: float = 0.0,
 ) -> ZenohSettings:
-    """Return the settings of a session.
+    """The settings of a session, whose endpoints are encrypted where there are credentials.
 
     A client connects to the first router in `connect` that answers, and to another one when that is lost; a
     router connects to each, now or later. Opening a client may take so many `seconds`; a connection lost
@@ -349,17 +331,7 @@ REFUSAL_SECONDS = (
 
 
 class Unreachable(EndpointError):
-    """Error when no router answers, with the reason for encrypted endpoints.
-
-    Parameters
-    ----------
-    endpoints
-        All that were tried.
-    seconds
-        Time spent trying.
-    credentials
-        Credentials of the session.
-    """
+    """No router answers, with the reason for encrypted endpoints."""
 
     def __init__(
         self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
@@ -410,7 +382,7 @@ def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
 
 
 def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
-    """Shake hands with a router, and close; returns whether it would have kept the link.
+    """Shake hands with a router, and leave; True if it would have kept the link.
 
     An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
     """

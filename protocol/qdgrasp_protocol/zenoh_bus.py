@@ -143,13 +143,7 @@ class ZenohBus(Bus):
     def embedded(
         cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
     ) -> tuple["ZenohBus", str]:
-        """Open a router on `endpoint`, or on a free port for None; returns the endpoint too.
-
-        Raises
-        ------
-        EndpointError
-            The endpoint that was named cannot be listened on, or no port is free.
-        """
+        """Open a router on `endpoint`, or on a free port if None; return it with its endpoint."""
         if endpoint is not None:
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
@@ -187,15 +181,6 @@ class ZenohBus(Bus):
 
         self._hold(ring, declare)
         return ring
-
-    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries; an unanswered query is released, which ends the asker's wait."""
-
-        def asked(query: zenoh.Query) -> None:
-            with query:
-                _reply(query, handler)
-
-        return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
@@ -338,13 +323,8 @@ def _router_config(credentials: Credentials) -> zenoh.Config:
     return config
 
 
-def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
-    """Answer one query with the handler's answer, or its error."""
-    _show(query, lambda asked: {asked.key: handler(asked)})
-
-
-def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
-    """Answer one query with the values that match it, or the handler's error."""
+def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
+    """Answer one query with the values that match it, or with the error."""
     key = str(query.key_expr)
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:

@@ -15,11 +15,11 @@ from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.syntax_digest import syntax_digest
 
 EVALUATION = (Evaluator, unpack_scene, pack)
-"""What an evaluation goes through: all code that decides its bits is reached from here."""
+"""Entries of an evaluation: all code that decides its bits is reached from here."""
 VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
-"""What version 0.1.0 recorded: the sha256 over its files."""
+"""Digest that version 0.1.0 recorded: the sha256 over its files."""
 FIRST_RECORDED_AS = {"2f8a6bf7d078e9c7c29c9e6e85dae45257ad2d9be58da8ebd67399dabdbc9165": VERSION_0_1_0}
-"""Code that evaluates bit for bit as other code did before: its digest, and that of the code which was first.
+"""Digest of code, and of the first code that evaluated the same bit for bit.
 
 A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
 made where the probes and the runs of tests/golden have the digests that they had.
