@@ -124,7 +124,7 @@ class Bus(ABC):
 
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries on `pattern` until the context ends, one at a time; see `QueryHandler`."""
-        return self.show(pattern, lambda query: {query.key: handler(query)})
+        return self.answer_values(pattern, lambda query: {query.key: handler(query)})
 
     @abstractmethod
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
@@ -135,7 +135,7 @@ class Bus(ABC):
         """
 
     @abstractmethod
-    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries on `pattern`, which may be patterns too, with any number of values by key.
 
         Values whose keys do not match what was asked are left out.

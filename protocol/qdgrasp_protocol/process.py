@@ -198,7 +198,7 @@ class ProcessExit:
     """Exit code; negative: the signal that killed it."""
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the end for a person."""
         if self.exit_code < 0:
             return f"was killed by {signal.Signals(-self.exit_code).name}"
@@ -227,7 +227,7 @@ class ProcessGroup:
         """Most seconds that a process may be given to stop."""
         return max(0.0, self._grace - GRACE_MARGIN)
 
-    def hire(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
+    def start(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
         """Start `python -m module arguments` as the process `name`, on one core or on any."""
         command = [sys.executable, "-m", module, *arguments]
         log = self._log(name)
@@ -237,7 +237,7 @@ class ProcessGroup:
             name, command, log, _start(command, log, core), started, log_start=began, core=core
         )
 
-    def deaths(self) -> list[ProcessExit]:
+    def exits(self) -> list[ProcessExit]:
         """Return the processes that ended since the last call and are not yet to be restarted."""
         found = []
         for member in self._members.values():
@@ -264,7 +264,7 @@ class ProcessGroup:
                 member.process, member.started = _start(member.arguments, member.log, member.core), now
                 member.restart_at = None
 
-    def last_words(self, name: str) -> str:
+    def last_error(self, name: str) -> str:
         """Return the error sentence with which a process ended; empty where it ended without one."""
         member = self._members[name]
         if member.log is None:
@@ -288,16 +288,16 @@ class ProcessGroup:
     def _alive(self) -> list[subprocess.Popen[bytes]]:
         return [member.process for member in self._members.values() if member.process.poll() is None]
 
-    def bid_leave(self, number: int = signal.SIGTERM) -> None:
+    def request_stop(self, number: int = signal.SIGTERM) -> None:
         """Send every process a signal to stop; the grace begins."""
         self._leave_by = time.monotonic() + self._grace
         for process in self._alive():
             process.send_signal(number)
 
-    def dismiss(self, number: int = signal.SIGTERM) -> None:
+    def stop(self, number: int = signal.SIGTERM) -> None:
         """End every process by a signal, then, after the grace, by SIGKILL."""
         if self._leave_by is None:
-            self.bid_leave(number)
+            self.request_stop(number)
         for process in self._alive():
             try:
                 process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
@@ -313,7 +313,7 @@ class ProcessGroup:
     def __exit__(
         self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
     ) -> None:
-        self.dismiss()
+        self.stop()
 
     def _log(self, name: str) -> Path | None:
         if self._logs is None:

@@ -198,7 +198,7 @@ class ZenohBus(Bus):
                     raise kind(_reason(reply.err.payload.to_bytes()))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
-    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries with values; a query that is let go unanswered ends its asker's waiting."""
 
         def asked(query: zenoh.Query) -> None:

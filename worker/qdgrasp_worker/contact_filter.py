@@ -23,7 +23,7 @@ It errs on one side only:
 through. Of an object with more surface than hands grasp the balls are larger, so that they stay as many.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import sqrt
@@ -38,9 +38,8 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.bullet import Box, Vector
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.hand_geometry import FreeJointLinks, HandKinematics
+from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, HandKinematics, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.overlap_filter import triangle_areas
 from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid
 
 SWEPT_MARGIN = 0.02  # What contacts may bend the hand, and how far Bullet sees them ahead, together [m]
@@ -73,21 +72,11 @@ class SweptBox:
         hand touches it no more.
         """
         offset = [a - b for a, b in zip(position, pose.position, strict=True)]
-        for axis, low, high in zip(frame_axes(pose.quaternion), self.low, self.high, strict=True):
+        for axis, low, high in zip(pose.axes, self.low, self.high, strict=True):
             place, speed = scalar_product(axis, offset), scalar_product(axis, velocity)
             if (place > high and speed >= 0.0) or (place < low and speed <= 0.0):
                 return True
         return False
-
-
-def frame_axes(quaternion: list[float]) -> tuple[Vector, Vector, Vector]:
-    """The axes of a frame that is turned by a unit quaternion."""
-    x, y, z, w = quaternion
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
 
 
 def scalar_product(a: Vector, b: Vector | list[float]) -> float:
@@ -130,7 +119,7 @@ class DistanceField:
         voxels.levels = np.clip(away / DISTANCE_UNIT, 0, 255).astype(np.uint8)
         return cls(voxels)
 
-    def at(self, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
+    def lower_bounds(self, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
         """Lower bounds (n,) of the distances of points (n, 3), turned by (3, 3) and moved by (3,)."""
         x, y, z = (points @ turn.T + move).T
         return self.distances.at(x, y, z).astype(np.uint8, copy=False)
@@ -204,7 +193,7 @@ class BoundingBalls:
 
 def coarseness(solid: ObjectSolid) -> float:
     """Factor by which tiles and cells are larger than for a small object: 1 to `FINE_SURFACE`."""
-    surface = sum(float(triangle_areas(hull).sum()) for hull in solid.hulls)
+    surface = sum(float(hull.areas.sum()) for hull in solid.hulls)
     return max(1.0, sqrt(surface / FINE_SURFACE))
 
 
@@ -251,14 +240,12 @@ BREAKING = 0.02  # Bullet's contact breaking threshold, in discs
 STRAY = 5e-4  # How far a closing finger may be from where it was watched, with the free joints elsewhere [m]
 POSTURES_PER_STEP = 8  # Postures from one step to the next
 FREE_JOINT_PLACES = (0.0, 1.0)  # Where on their ranges the free joints are while the hand is watched
-Closing = Callable[[Sequence[float], int], list[list[float]]]
-"""The courses of a closing hand's joints, by its initial posture and its synergy."""
 
 
 class NoContactFilter:
     """The reach of a hand of which nothing is known: it misses nowhere for sure."""
 
-    def watch(self, synergy: int) -> None:
+    def prepare(self, synergy: int) -> None:
         """Do nothing."""
 
     def misses(self, pose: HandPose) -> bool:
@@ -272,7 +259,7 @@ class ClearanceBalls:
 
     centres: Singles
     """(n, 3) [m]."""
-    far: NDArray[np.uint8]
+    min_distances: NDArray[np.uint8]
     """(n,): how far from a zone each must be, in its units."""
 
     @classmethod
@@ -281,9 +268,9 @@ class ClearanceBalls:
         far = np.ceil((balls.radii + sight) / DISTANCE_UNIT).clip(0, 255)
         return cls(balls.centres.astype(np.float32), far.astype(np.uint8))
 
-    def among(self, which: NDArray[np.bool_]) -> Self:
+    def select(self, which: NDArray[np.bool_]) -> Self:
         """Those of the balls."""
-        return replace(self, centres=self.centres[which], far=self.far[which])
+        return replace(self, centres=self.centres[which], min_distances=self.min_distances[which])
 
 
 NO_CONTACT_FILTER = NoContactFilter()
@@ -304,9 +291,9 @@ class ContactFilter:
         self, gripper: SceneGripper, solid: ObjectSolid, closing: Closing, *, follows_free_joints: bool
     ) -> None:
         self._gripper = gripper
-        self._skeleton = HandKinematics(gripper)
-        self._mounts = FreeJointLinks(gripper, self._skeleton)
-        self.is_known = self._skeleton.is_whole and solid.is_whole and self._mounts.are_still
+        self._kinematics = HandKinematics(gripper)
+        self._mounts = FreeJointLinks(gripper, self._kinematics)
+        self.is_known = self._kinematics.is_understood and solid.is_whole and self._mounts.all_still
         """True if all of hand and object is understood; if not, no pose surely misses."""
         self._closing = closing
         opened = [joint.opened for joint in gripper.joints]
@@ -320,7 +307,7 @@ class ContactFilter:
             )
             self._counts = cover.counts
 
-    def watch(self, synergy: int) -> None:
+    def prepare(self, synergy: int) -> None:
         """Have the hand close on nothing where its zones with a synergy are not known yet."""
         if self.is_known and synergy not in self._zones:
             self._zones[synergy] = self._measure(synergy)
@@ -329,8 +316,8 @@ class ContactFilter:
         """Return whether the hand, closing at `pose`, surely never comes as near as a contact."""
         if not self.is_known:
             return False
-        self.watch(pose.synergy)
-        turn = np.array(frame_axes(pose.quaternion))
+        self.prepare(pose.synergy)
+        turn = np.array(pose.axes)
         move = -turn @ np.array(pose.position)
         return all(
             self._is_clear(zone, frame[:3, :3].T @ turn, frame[:3, :3].T @ (move - frame[:3, 3]))
@@ -350,35 +337,25 @@ class ContactFilter:
         One that is in the midst of it is enough to give up.
         """
         frame = turn.astype(np.float32), move.astype(np.float32)
-        away = zone.at(self._large.centres, *frame)
-        is_near = away <= self._large.far
+        away = zone.lower_bounds(self._large.centres, *frame)
+        is_near = away <= self._large.min_distances
         if not is_near.any() or not away.all():
             return not is_near.any()
-        small = self._small.among(np.repeat(is_near, self._counts))
-        return bool((zone.at(small.centres, *frame) > small.far).all())
+        small = self._small.select(np.repeat(is_near, self._counts))
+        return bool((zone.lower_bounds(small.centres, *frame) > small.min_distances).all())
 
     def _measure(self, synergy: int) -> dict[str, DistanceField]:
         """Watch the hand close: the zone in the frame of each mount."""
         passing: dict[str, list[tuple[Hull, Floats]]] = {}
         for place in FREE_JOINT_PLACES[: 1 + bool(self._gripper.free_joints)]:
-            posture = self._posture(place)
-            frames = self._skeleton.frames(interpolate_course(np.array(self._closing(posture, synergy))))
+            posture = free_posture(self._gripper, place)
+            frames = self._kinematics.frames(interpolate_course(np.array(self._closing(posture, synergy))))
             mounts = self._mounts.frames(posture)
-            for link, hulls in self._skeleton.hulls.items():
-                under = self._mounts.under[link]
+            for link, hulls in self._kinematics.hulls.items():
+                under = self._mounts.mount_of[link]
                 course = np.linalg.inv(mounts[under]) @ frames[link]
                 passing.setdefault(under, []).extend((hull, course) for hull in hulls)
         return {link: DistanceField.of(courses) for link, courses in passing.items() if courses}
-
-    def _posture(self, share: float) -> list[float]:
-        """The open posture with the free joints at this share of their ranges."""
-        free = {joint.name: joint for joint in self._gripper.free_joints}
-        return [
-            free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
-            if joint.name in free
-            else joint.opened
-            for joint in self._gripper.joints
-        ]
 
 
 def interpolate_course(course: Floats) -> Floats:

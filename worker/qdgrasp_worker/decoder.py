@@ -27,6 +27,16 @@ class HandPose:
     joints: list[float]
     synergy: int
 
+    @property
+    def axes(self) -> tuple[tuple[float, float, float], ...]:
+        """The axes of its frame: unit vectors in the frame of its position."""
+        x, y, z, w = self.quaternion
+        return (
+            (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+            (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+            (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+        )
+
 
 @dataclass(frozen=True)
 class DecodedGrasps:
@@ -49,7 +59,7 @@ class DecodedGrasps:
     """(n,) [rad], from the normal there to the direction to the hand; 0 without such a point."""
     dead_ends: NDArray[np.bool_]
     """(n,): which of them are no pose; zeros are in its place."""
-    rows: NDArray[np.intp]
+    genome_of: NDArray[np.intp]
     """(n,): the genome of the batch that each belongs to, ascending."""
     weights: NDArray[np.float64]
     """(genomes, f): weights of a genome's candidates by feature; f is 0 without a choice."""
@@ -94,7 +104,7 @@ class Decoder:
     def __call__(self, genomes: NDArray[np.float32]) -> DecodedGrasps:
         """Decode genomes (n, d) to their candidate grasps; NaN where a genome stands for no pose."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            drawn = self._prior.drawn(self._prior.values(self.layout, genomes), genomes, self._surface)
+            drawn = self._prior.candidates(self._prior.values(self.layout, genomes), genomes, self._surface)
             values = drawn.genes
             poses = self._prior.poses(values[:, : self._own], self._surface, self._hand)
         return DecodedGrasps(
@@ -105,7 +115,7 @@ class Decoder:
             surface_points=poses.surface_points.astype(np.float32),
             nu=poses.nu.astype(np.float32),
             dead_ends=poses.dead_ends,
-            rows=drawn.rows,
+            genome_of=drawn.rows,
             weights=drawn.weights,
         )
 

@@ -31,7 +31,7 @@ REASON_LENGTH = 200
 class GenomeResult(NamedTuple):
     """Result of a genome."""
 
-    place: int
+    pose_index: int
     """Its pose, in the batch of grasps."""
     verdict: EpisodeResult
     proposals: int
@@ -103,18 +103,18 @@ class Evaluator(BatchEvaluator):
         super().__init__(scene)
         self._world = World(scene)
         self._shortcuts = shortcuts
-        self._solid = ObjectSolid(scene)
+        self._object = ObjectSolid(scene)
         follows = self._protocol.free_joints_first
-        self._screen = CandidateScreen(
-            scene, self._solid, self._closing, follows_free_joints=follows, filters=shortcuts
+        self._candidate_screen = CandidateScreen(
+            scene, self._object, self._closing, follows_free_joints=follows, filters=shortcuts
         )
 
     @cached_property
-    def _reach(self) -> ContactFilter | NoContactFilter:
+    def _contact_filter(self) -> ContactFilter | NoContactFilter:
         if not self._shortcuts:
             return NO_CONTACT_FILTER
         follows = self._protocol.free_joints_first
-        return ContactFilter(self.scene.gripper, self._solid, self._closing, follows_free_joints=follows)
+        return ContactFilter(self.scene.gripper, self._object, self._closing, follows_free_joints=follows)
 
     def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """Finger joints as the hand closes on nothing, in the present world."""
@@ -137,7 +137,7 @@ class Evaluator(BatchEvaluator):
         rows["genome"], rows["trial"] = genomes, trials
         refused = row_refusals(genomes, trials, grasps, self._protocol.trials)
         wanted = np.array([not reason for reason in refused], dtype=bool)
-        shortlists, features = self._screen(grasps, trials, wanted)
+        shortlists, features = self._candidate_screen(grasps, trials, wanted)
         found = [
             reason or self._find(grasps, shortlists[i], int(trials[i])) for i, reason in enumerate(refused)
         ]
@@ -165,7 +165,7 @@ class Evaluator(BatchEvaluator):
 
         It is chosen by trial 0, so that all trials of a genome disturb the same pose.
         """
-        episode = Episode(self._world, self._protocol, self._reach, stops_early=self._shortcuts)
+        episode = Episode(self._world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
         for place in shortlist.ranked:
             pose = grasps[place]
             if trial and shortlist.is_choice and episode.overlaps(TrialSetup(pose)):
@@ -173,7 +173,7 @@ class Evaluator(BatchEvaluator):
             verdict = episode.run(self._protocol.trial(pose, trial))
             if trial or verdict.outcome is not Outcome.OVERLAP:
                 return place, verdict
-        return shortlist.first, EpisodeResult(shortlist.otherwise, grasps[shortlist.first].joints)
+        return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
 
 
 def row_refusals(
@@ -181,7 +181,7 @@ def row_refusals(
 ) -> list[str]:
     """The reason why each row cannot be evaluated, empty where it can; `last` is the last trial."""
     finite = np.asarray(np.isfinite(genomes).all(axis=1))
-    np.logical_and.at(finite, grasps.rows, grasps.are_finite)
+    np.logical_and.at(finite, grasps.genome_of, grasps.are_finite)
     reasons = {
         "the genome stands for no pose: it holds, or leads to, numbers that are not finite": ~finite,
         f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}": trials > last,
@@ -199,7 +199,7 @@ def fill_rows(
     if not findings:
         return
     places, found = list(findings), [finding.verdict for finding in findings.values()]
-    taken = [finding.place for finding in findings.values()]
+    taken = [finding.pose_index for finding in findings.values()]
     is_simulated = np.array([[verdict.outcome.is_simulated] for verdict in found])
     positions = grasps.positions[taken]
     columns = {

@@ -27,10 +27,10 @@ class HandSurfaceSamples:
     """Sample points of a hand, link by link."""
 
     def __init__(self, gripper: SceneGripper) -> None:
-        self._skeleton = HandKinematics(gripper)
-        self._names = list(self._skeleton.hulls)
+        self._kinematics = HandKinematics(gripper)
+        self._names = list(self._kinematics.hulls)
         opened = np.array([[joint.opened for joint in gripper.joints]])
-        self._opened = self._skeleton.frames(opened)
+        self._opened = self._kinematics.frames(opened)
         self._links, self._points = self._sample()
 
     def points(self, postures: NDArray[np.float32], some: slice) -> Singles:
@@ -41,7 +41,7 @@ class HandSurfaceSamples:
         links, points = self._links[some], self._points[some]
         if (postures == postures[:1]).all():
             postures = postures[:1]
-        frames = self._skeleton.frames(postures.astype(np.float64))
+        frames = self._kinematics.frames(postures.astype(np.float64))
         placed = np.empty((len(postures), len(points), 3), dtype=np.float32)
         for link in np.unique(links):
             frame, of_link = frames[self._names[link]], links == link
@@ -51,10 +51,10 @@ class HandSurfaceSamples:
     def _sample(self) -> tuple[NDArray[np.int64], Floats]:
         """The link (1024,) and place (1024, 3) of each point, link frame [m]."""
         random = np.random.default_rng(0)
-        parts = [(i, hull) for i, name in enumerate(self._names) for hull in self._skeleton.hulls[name]]
+        parts = [(i, hull) for i, name in enumerate(self._names) for hull in self._kinematics.hulls[name]]
         if not parts:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-        sizes = np.array([triangle_areas(hull).sum() for _, hull in parts])
+        sizes = np.array([hull.areas.sum() for _, hull in parts])
         counts = np.maximum(1, np.rint(DRAWN_POINTS * sizes / sizes.sum())).astype(np.int64)
         points = [draw_points(hull, count, random) for (_, hull), count in zip(parts, counts, strict=True)]
         links = np.repeat([link for link, _ in parts], counts)
@@ -69,15 +69,9 @@ class HandSurfaceSamples:
         return placed
 
 
-def triangle_areas(hull: Hull) -> Floats:
-    """The areas (t,) of the triangles of a hull's surface [m2]."""
-    a, b, c = np.moveaxis(hull.triangles, 1, 0)
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
-
-
 def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
     """Draw points (n, 3) [m] that are inside a hull, most of them close under its surface."""
-    sizes = triangle_areas(hull)
+    sizes = hull.areas
     triangles = hull.triangles[random.choice(len(sizes), n, p=sizes / sizes.sum())]
     weights = random.dirichlet((1.0, 1.0, 1.0), n)
     centre = hull.triangles.reshape(-1, 3).mean(axis=0)

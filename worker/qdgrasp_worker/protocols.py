@@ -121,7 +121,7 @@ class EvaluationProtocol:
 
     name: str
     shakes: tuple[Shake, ...]
-    look_every: int
+    contact_check_steps: int
     """Steps of a shake between two checks of contact with the object; divides TARGET_STEPS."""
     ends_when_lost: bool
     """An object that one shake lost is spared the next."""
@@ -145,9 +145,11 @@ SHAKES = (
     Shake("x", pi / 4, position_gain=0.05, velocity_gain=1.0),
 )
 RELEASED = EvaluationProtocol(
-    "released", SHAKES, look_every=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
+    "released", SHAKES, contact_check_steps=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
 )
-PAPER = EvaluationProtocol("paper", SHAKES, look_every=1, ends_when_lost=True, free_joints_first=True)
+PAPER = EvaluationProtocol(
+    "paper", SHAKES, contact_check_steps=1, ends_when_lost=True, free_joints_first=True
+)
 MIXTURE = Mixture(position_sigma=0.005, angle_sigma=radians(30.0), rolling=(0.01, 0.04), spinning=(0.1, 0.4))
 ROBUST = replace(PAPER, name="robust", mixture=MIXTURE)
 PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST)}

@@ -6,7 +6,7 @@ measure for ranking poses, and decides nothing else. An object of which much is 
 to be touched; where all of it is passed through in one direction, it is likely to be pushed away.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.hand_geometry import HandKinematics
+from qdgrasp_worker.hand_geometry import Closing, HandKinematics
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.overlap_filter import OverlapFilter, rotation_matrices, transform_points
 from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid, convex_hulls
@@ -32,8 +32,6 @@ POSES_AT_ONCE = 64  # Poses that are looked up at once: their points fit in the 
 MIN_MOTION = 1e-5  # What a finger moves at least from one look to the next to have a direction [m]
 DIRECTION_UNIT = 1 << 12
 """The length of a direction: in whole numbers, whose sums do not depend on their order."""
-Closing = Callable[[Sequence[float], int], list[list[float]]]
-"""The courses of a closing hand's joints, by its initial posture and its synergy."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +54,12 @@ class SweptVolume:
 
 
 class SweptVolumes:
-    """The swaths of a scene's hand, each measured when it is first asked for."""
+    """The volumes of a scene's hand, each measured when it is first asked for."""
 
     def __init__(self, gripper: SceneGripper, closing: Closing) -> None:
-        self._skeleton = HandKinematics(gripper)
+        self._kinematics = HandKinematics(gripper)
         self._fingers = gripper.finger_links
-        self._plain = {link: simplified_hulls(self._skeleton.hulls[link]) for link in self._fingers}
+        self._plain = {link: simplified_hulls(self._kinematics.hulls[link]) for link in self._fingers}
         self._closing = closing
         self._approach = np.array(gripper.approach_axis)
         self._opened = [joint.opened for joint in gripper.joints]
@@ -80,11 +78,11 @@ class SweptVolumes:
         shares = np.zeros((len(places), 2), dtype=np.float32)
         keys, which = np.unique(self._keys(grasps, places), axis=0, return_inverse=True)
         for i, key in enumerate(keys.tolist()):
-            swath = self._swath(tuple(key))
+            swept_volume = self._volume(tuple(key))
             (mine,) = np.nonzero(which.reshape(-1) == i)
             for start in range(0, len(mine), POSES_AT_ONCE):
                 some = mine[start : start + POSES_AT_ONCE]
-                shares[some] = swath.shares(*points_in_hand_frames(points, grasps, places[some]))
+                shares[some] = swept_volume.shares(*points_in_hand_frames(points, grasps, places[some]))
         return shares
 
     def _keys(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.int64]:
@@ -94,7 +92,7 @@ class SweptVolumes:
         stops = np.rint(np.clip(portions, 0.0, 1.0) * (FREE_JOINT_PLACES - 1)).astype(np.int64)
         return np.column_stack([grasps.synergies[places], stops])
 
-    def _swath(self, key: tuple[int, ...]) -> SweptVolume:
+    def _volume(self, key: tuple[int, ...]) -> SweptVolume:
         if key not in self._found:
             self._found[key] = self._measure(key[0], np.array(key[1:]))
         return self._found[key]
@@ -103,10 +101,10 @@ class SweptVolumes:
         """Close the hand on nothing and mark the way of its fingers."""
         posture = np.array(self._opened)
         posture[self._free] = self._low + stops / (FREE_JOINT_PLACES - 1) * (self._high - self._low)
-        frames = self._skeleton.frames(
+        frames = self._kinematics.frames(
             np.array(self._closing(posture.tolist(), synergy))[::STEPS_BETWEEN_LOOKS]
         )
-        voxels = VoxelGrid(*self._skeleton.box(self._fingers, frames), VOXEL_PITCH, np.uint16)
+        voxels = VoxelGrid(*self._kinematics.box(self._fingers, frames), VOXEL_PITCH, np.uint16)
         parts = [(frames[link], hull) for link in self._fingers for hull in self._plain[link]]
         looks = len(next(iter(frames.values())))
         ways = np.zeros((1 + looks * len(parts), 3), dtype=np.int32)
@@ -159,10 +157,10 @@ DEFAULT_WEIGHTS = np.array([0.25, 1.0, 0.0, 0.0, 0.0, 0.0])
 class PoseFeatures:
     """The features (docs/methods.md) of a scene's poses."""
 
-    def __init__(self, gripper: SceneGripper, solid: ObjectSolid, swaths: SweptVolumes) -> None:
+    def __init__(self, gripper: SceneGripper, solid: ObjectSolid, volumes: SweptVolumes) -> None:
         self._gripper = gripper
         self._solid = solid
-        self._swaths = swaths
+        self._volumes = volumes
         self._points = solid.points.astype(np.float32)
 
     def features(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -171,7 +169,7 @@ class PoseFeatures:
         All but the last are between 0 and 1, or -1 and 1.
         """
         features = np.ones((len(places), len(FEATURES)), dtype=np.float32)
-        features[:, :2] = self._swaths.shares(self._points, grasps, places)
+        features[:, :2] = self._volumes.shares(self._points, grasps, places)
         features[:, 2:5] = self._geometry(grasps, places)
         return features
 
@@ -214,7 +212,7 @@ class Shortlist:
     """Number of poses; 0: a dead end."""
     ranked: list[int]
     """Poses that do not surely overlap and promise enough, in the order in which they are tried."""
-    otherwise: Outcome
+    fallback: Outcome
     """The outcome if none of them is simulated."""
 
     @property
@@ -263,10 +261,10 @@ class CandidateScreen:
         wanted
             (n,): the genomes that are looked at; the others have empty lists.
         """
-        is_pose = ~grasps.dead_ends & wanted[grasps.rows]
+        is_pose = ~grasps.dead_ends & wanted[grasps.genome_of]
         (poses,) = np.nonzero(is_pose)
-        is_choice = np.bincount(grasps.rows[poses], minlength=len(trials)) > 1
-        (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.rows])
+        is_choice = np.bincount(grasps.genome_of[poses], minlength=len(trials)) > 1
+        (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.genome_of])
         left = np.setdiff1d(poses, self._overlap(grasps, nominal)) if self._filters else poses
         features, order = self._rank(grasps, left)
         choosy = have_threshold(grasps.weights)
@@ -282,7 +280,7 @@ class CandidateScreen:
         if not features.shape[1]:
             return features, left
         features[left] = self._ranking.features(grasps, left)
-        rows = grasps.rows[left]
+        rows = grasps.genome_of[left]
         promised = candidate_scores(features[left], grasps.weights[rows])
         best_first = np.lexsort([-promised, rows])
         is_enough = (promised >= 0.0) | ~have_threshold(grasps.weights)[rows]
@@ -299,15 +297,15 @@ class CandidateScreen:
 
 
 def make_shortlists(
-    grasps: DecodedGrasps, poses: NDArray[np.intp], order: NDArray[np.intp], otherwise: NDArray[np.integer]
+    grasps: DecodedGrasps, poses: NDArray[np.intp], order: NDArray[np.intp], fallbacks: NDArray[np.integer]
 ) -> list[Shortlist]:
     """A list for each genome, of `poses` among the grasps and the `order` in which to try them."""
     genomes = np.arange(len(grasps.weights))
-    counts = np.bincount(grasps.rows[poses], minlength=len(genomes))
-    first = np.searchsorted(grasps.rows, genomes)
+    counts = np.bincount(grasps.genome_of[poses], minlength=len(genomes))
+    first = np.searchsorted(grasps.genome_of, genomes)
     is_alive = counts > 0
-    first[is_alive] = poses[np.searchsorted(grasps.rows[poses], genomes[is_alive])]
-    ends = np.searchsorted(grasps.rows[order], genomes, side="right")
+    first[is_alive] = poses[np.searchsorted(grasps.genome_of[poses], genomes[is_alive])]
+    ends = np.searchsorted(grasps.genome_of[order], genomes, side="right")
     ranked = [places.tolist() for places in np.split(order, ends)[:-1]]
-    outcomes = [Outcome(number) for number in otherwise.tolist()]
+    outcomes = [Outcome(number) for number in fallbacks.tolist()]
     return [Shortlist(*each) for each in zip(first.tolist(), counts.tolist(), ranked, outcomes, strict=True)]

@@ -33,6 +33,12 @@ class Hull:
         """(p, 3)."""
         return self.planes[:, :3]
 
+    @property
+    def areas(self) -> Floats:
+        """(t,) [m2]: the areas of the triangles of its surface."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+
     def grown(self, by: float) -> Self:
         """The hull with its planes moved outward by `by` [m]."""
         planes = self.planes - np.array([0.0, 0.0, 0.0, by])

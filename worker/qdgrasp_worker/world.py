@@ -15,6 +15,7 @@ from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Contact, Motor
 from qdgrasp_worker.contact_filter import SweptBox
 from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.hand_geometry import free_posture
 from qdgrasp_worker.protocols import CLOSING_STEPS, Shake
 
 HAND_GROUP, OBJECT_GROUP = 1, 2
@@ -192,7 +193,7 @@ class World:
         body = self._target.body
         return self._sweep.is_left(pose, self._bullet.position(body), self._bullet.velocity(body))
 
-    def fingers(self) -> list[float]:
+    def finger_positions(self) -> list[float]:
         """The positions of the finger joints, in the gripper's order [rad or m]."""
         return self._bullet.joints(self._hand.body, self._hand.fingers)
 
@@ -213,18 +214,18 @@ class World:
         """The finger joints while they close on nothing, before each step and after the last."""
         self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
         self.close_fingers(synergy)
-        course = [self.fingers()]
+        course = [self.finger_positions()]
         for _ in range(CLOSING_STEPS):
             self.step()
-            course.append(self.fingers())
+            course.append(self.finger_positions())
         return course
 
     def _measure_sweep(self, gripper: SceneGripper) -> SweptBox:
         """Close the hand far from the object, with its free joints all along their ranges."""
         away = HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY)
         boxes = []
-        for posture in free_postures(gripper):
-            self.reset(away, posture)
+        for i in range(FREE_POSTURES if gripper.free_joints else 1):
+            self.reset(away, free_posture(gripper, i / (FREE_POSTURES - 1)))
             self.close_fingers(NO_SYNERGY)
             for _ in range(CLOSING_STEPS):
                 boxes += [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]
@@ -248,18 +249,6 @@ class World:
 def finger_motor(joint: Joint) -> Motor:
     """The motor of a finger joint."""
     return Motor(joint.effort, joint.velocity)
-
-
-def free_postures(gripper: SceneGripper) -> Iterator[list[float]]:
-    """Open postures with the free joints along their ranges, all at once."""
-    free = {joint.name: joint for joint in gripper.free_joints}
-    for share in (i / (FREE_POSTURES - 1) for i in range(FREE_POSTURES if free else 1)):
-        yield [
-            free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
-            if joint.name in free
-            else joint.opened
-            for joint in gripper.joints
-        ]
 
 
 def closing_joints(gripper: SceneGripper) -> dict[int, Sequence[str]]:

@@ -1,4 +1,4 @@
-"""A simulator that evaluates the rows of plans, and that some of them end: `python -m ...poisoned`."""
+"""A simulator that evaluates the rows of plans, and that some rows end."""
 
 import os
 import sys

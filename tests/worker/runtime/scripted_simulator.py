@@ -1,4 +1,4 @@
-"""A simulator with an evaluator that does what a genome says: the process, its line and its limits are real.
+"""A simulator whose evaluator acts as genomes say; its process, socket and limits are real.
 
 `python -m tests.worker.runtime.scripted_simulator [LOG]`; LOG hears the number of every row that is begun.
 Rows that wait do so until there is a file `count_block` beside LOG.

@@ -11,7 +11,7 @@ from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, PartialResul
 
 
 def part(n: int, first: int = 0, failures: tuple[int, ...] = ()) -> PartialResult:
-    """What n rows gave: their numbers, counted from `first`."""
+    """The results of n rows: their numbers, counted from `first`."""
     numbers = np.arange(first, first + n, dtype="<f4")
     named = [Failure(row=row, reason="no") for row in failures]
     return PartialResult(

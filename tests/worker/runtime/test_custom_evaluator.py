@@ -1,4 +1,4 @@
-"""An evaluator of somebody's own in the simulator's place."""
+"""A user's evaluator in the simulator's place."""
 
 import socket
 import sys

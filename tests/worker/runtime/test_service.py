@@ -1,4 +1,4 @@
-"""A worker on the bus with its simulator in a process: joining, serving, handing back and leaving."""
+"""A worker on the bus with its simulator's process: joining, serving, handing back, leaving."""
 
 import os
 import signal
@@ -111,8 +111,8 @@ def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alo
     other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
     joins = len(office.joins)
     office.give(work(3))
-    worker.bus.cut()
-    worker.bus.mend()
+    worker.bus.disconnect()
+    worker.bus.reconnect()
     office.wait(lambda: len(office.joins) > joins, "a question whether it is still the same coordinator")
     office.wait(lambda: not office.workers, "the end of its token")
     other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
@@ -333,8 +333,8 @@ def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office, go_o
     office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
     office.wait(lambda: office.fetched, "its beginning")
     joins = len(office.joins)
-    worker.bus.cut()
-    worker.bus.mend()
+    worker.bus.disconnect()
+    worker.bus.reconnect()
     office.wait(lambda: len(office.joins) > joins, "another join")
     go_on()
     office.wait(lambda: office.results, "a result")

@@ -78,7 +78,7 @@ def test_before_anything_is_known_of_a_simulator_it_is_looked_at_at_once():
 
 
 BRISK = 0.4
-"""CPU seconds of a row, a tenth of the longest stall, in tests of these limits; else rows have PATIENCE."""
+"""CPU seconds of a row, a tenth of the longest stall, where limits are tested."""
 MEGABYTE = 1_000_000
 SCENE = b"a scene"
 PROBE_FOR_EVER = """

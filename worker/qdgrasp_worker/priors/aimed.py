@@ -39,7 +39,9 @@ class AimedPrior(Prior):
 
     name = known.AIMED
 
-    def drawn(self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface) -> PriorCandidates:
+    def candidates(
+        self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
+    ) -> PriorCandidates:
         """Candidates, as genes whose target is the hand's position, and whose hints are exact."""
         asked = np.clip(np.nan_to_num(genes[:, CANDIDATES]), 1.0, known.MOST_CANDIDATES)
         counts = np.rint(asked).astype(np.int64)

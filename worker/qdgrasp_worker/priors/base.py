@@ -58,7 +58,9 @@ class Prior(ABC):
         """The values (n, d) of genomes (n, d) in [-1, 1], in m and rad."""
         return layout.values(genomes)
 
-    def drawn(self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface) -> PriorCandidates:
+    def candidates(
+        self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
+    ) -> PriorCandidates:
         """The candidates of genomes (n, d) whose genes stand for `genes` (n, d)."""
         return PriorCandidates(np.arange(len(genes)), genes, np.zeros((len(genes), 0)))
 

@@ -197,11 +197,11 @@ class Renderer:
         """The links whose touch makes a success."""
         return self._hand.finger_links
 
-    def show(self, moment: Snapshot) -> None:
+    def place(self, snapshot: Snapshot) -> None:
         """Put hand and object where they were."""
-        self._bullet.place(self._hand.body, *moment.root)
-        self._bullet.set_joints(self._hand.body, self._joints, moment.joints)
-        self._bullet.place(self._target, *moment.object)
+        self._bullet.place(self._hand.body, *snapshot.root)
+        self._bullet.set_joints(self._hand.body, self._joints, snapshot.joints)
+        self._bullet.place(self._target, *snapshot.object)
 
     def corners(self) -> Floats:
         """(n, 3) [m]: corners of boxes that hold all bodies; the object's eight stand last."""
@@ -212,16 +212,16 @@ class Renderer:
         corners: Floats = np.where(is_high, highs[:, None], lows[:, None]).reshape(-1, 3)
         return corners
 
-    def look(self, lens: CameraMatrices, width: int, height: int) -> NDArray[np.uint8]:
+    def draw(self, camera: CameraMatrices, width: int, height: int) -> NDArray[np.uint8]:
         """Draw what is there: (rows, columns, 3)."""
-        colours, _ = self._see(lens, width, height, shadow=False, flags=pb.ER_NO_SEGMENTATION_MASK)
+        colours, _ = self._see(camera, width, height, shadow=False, flags=pb.ER_NO_SEGMENTATION_MASK)
         image: NDArray[np.uint8] = colours.astype(np.uint8).reshape(height, width, 4)[:, :, :3]
         return image
 
-    def tell(self, lens: CameraMatrices, width: int, height: int) -> SegmentationMask:
+    def segment(self, camera: CameraMatrices, width: int, height: int) -> SegmentationMask:
         """Return the body and link at each pixel of the present picture."""
         flags = pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX
-        _, mask = self._see(lens, width, height, shadow=False, flags=flags)
+        _, mask = self._see(camera, width, height, shadow=False, flags=flags)
         numbers = mask.astype(np.int64).reshape(height, width)
         bodies, links = numbers & ((1 << LINK_BITS) - 1), (numbers >> LINK_BITS) - 1
         is_there = numbers >= 0
@@ -229,15 +229,15 @@ class Renderer:
         return SegmentationMask(np.where(is_hand, links, NO_LINK), is_there & (bodies == self._target))
 
     def _see(
-        self, lens: CameraMatrices, width: int, height: int, *, shadow: bool, flags: int
+        self, camera: CameraMatrices, width: int, height: int, *, shadow: bool, flags: int
     ) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
         """The colours and the mask of a picture."""
         _, _, colours, _, mask = pb.getCameraImage(
             width,
             height,
-            viewMatrix=lens.view.T.ravel().tolist(),
-            projectionMatrix=lens.projection.T.ravel().tolist(),
-            lightDirection=(lens.view[:3, :3].T @ LIGHT_DIRECTION).tolist(),
+            viewMatrix=camera.view.T.ravel().tolist(),
+            projectionMatrix=camera.projection.T.ravel().tolist(),
+            lightDirection=(camera.view[:3, :3].T @ LIGHT_DIRECTION).tolist(),
             shadow=shadow,
             flags=flags,
             renderer=pb.ER_TINY_RENDERER,
@@ -270,34 +270,40 @@ PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture that is only counted
 
 
 def camera_around(
-    eye: Renderer, moments: Sequence[Snapshot], still: Snapshot, view: tuple[float, float], aspect: float
+    renderer: Renderer,
+    snapshots: Sequence[Snapshot],
+    still: Snapshot,
+    view: tuple[float, float],
+    aspect: float,
 ) -> CameraMatrices:
-    """The lens that has all of `moments` in its picture."""
-    return fit_camera(corners_around(eye, moments, still), *view, aspect)
+    """The camera that has all of `snapshots` in its picture."""
+    return fit_camera(corners_around(renderer, snapshots, still), *view, aspect)
 
 
-def best_view(eye: Renderer, still: Snapshot) -> tuple[float, float]:
+def best_view(renderer: Renderer, still: Snapshot) -> tuple[float, float]:
     """Azimuth and elevation [deg] from which the most of both fingers and object is seen."""
-    corners = corners_around(eye, [still], still)
-    eye.show(still)
+    corners = corners_around(renderer, [still], still)
+    renderer.place(still)
     views = list(product(AZIMUTHS, ELEVATIONS))
-    scores = [_score(eye, fit_camera(corners, *view, PREVIEW_SIZE[0] / PREVIEW_SIZE[1])) for view in views]
+    scores = [
+        _score(renderer, fit_camera(corners, *view, PREVIEW_SIZE[0] / PREVIEW_SIZE[1])) for view in views
+    ]
     azimuth, elevation = views[int(np.argmax(scores))]
     return float(azimuth), float(elevation)
 
 
-def corners_around(eye: Renderer, moments: Iterable[Snapshot], still: Snapshot) -> Floats:
-    """(n, 3) [m]: corners around hand and object in all moments; a lost object is not followed."""
-    eye.show(still)
-    corners = [eye.corners()]
-    for moment in moments:
-        eye.show(moment)
-        here = eye.corners()
-        corners.append(here if moment.touches else here[:OBJECT_CORNERS])
+def corners_around(renderer: Renderer, snapshots: Iterable[Snapshot], still: Snapshot) -> Floats:
+    """(n, 3) [m]: corners around hand and object in all snapshots; a lost object is not followed."""
+    renderer.place(still)
+    corners = [renderer.corners()]
+    for snapshot in snapshots:
+        renderer.place(snapshot)
+        here = renderer.corners()
+        corners.append(here if snapshot.touches else here[:OBJECT_CORNERS])
     return np.concatenate(corners)
 
 
-def _score(eye: Renderer, seen_by: CameraMatrices) -> float:
-    seen = eye.tell(seen_by, *PREVIEW_SIZE)
-    fingers = np.isin(seen.links, list(eye.fingers)).sum()
+def _score(renderer: Renderer, seen_by: CameraMatrices) -> float:
+    seen = renderer.segment(seen_by, *PREVIEW_SIZE)
+    fingers = np.isin(seen.links, list(renderer.fingers)).sum()
     return float(fingers * seen.is_object.sum())

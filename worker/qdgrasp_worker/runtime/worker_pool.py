@@ -30,15 +30,15 @@ class StartupCheck:
         self._size = size
         self._until = until
         self._seen: set[str] = set()
-        self._turned_away: set[str] = set()
+        self._rejected: set[str] = set()
 
-    def is_hopeless(self, death: ProcessExit, now: float) -> bool:
+    def is_hopeless(self, ended: ProcessExit, now: float) -> bool:
         """Note that a worker ended; True once bad input has ended the first process of each."""
-        is_first = death.name not in self._seen
-        self._seen.add(death.name)
-        if is_first and now <= self._until and death.exit_code == InputError.exit_code:
-            self._turned_away.add(death.name)
-            return len(self._turned_away) == self._size
+        is_first = ended.name not in self._seen
+        self._seen.add(ended.name)
+        if is_first and now <= self._until and ended.exit_code == InputError.exit_code:
+            self._rejected.add(ended.name)
+            return len(self._rejected) == self._size
         return False
 
 
@@ -56,8 +56,8 @@ class WorkerPool:
         self._arguments = arguments
         self._grace = max(GRACE, grace + GRACE_MARGIN)
         self._is_pinned = is_pinned
-        self._there: set[str] = set()
-        self._beginning = StartupCheck(size, monotonic() + wait + STARTUP_SECONDS)
+        self._running: set[str] = set()
+        self._startup = StartupCheck(size, monotonic() + wait + STARTUP_SECONDS)
 
     def run(self, stop: Stop) -> None:
         """Start the workers and watch them until a signal comes, or all have left.
@@ -67,46 +67,46 @@ class WorkerPool:
         setproctitle("qdgrasp-workers")
         woken: SimpleQueue[None] = SimpleQueue()
         stop.tell(lambda: woken.put(None))
-        with ProcessGroup(None, self._grace) as crew:
-            self._hire(crew)
-            while self._there and not stop.is_set:
-                for death in crew.deaths():
-                    self._died(crew, death, monotonic())
-                crew.restart_due(monotonic())
+        with ProcessGroup(None, self._grace) as group:
+            self._start(group)
+            while self._running and not stop.is_set:
+                for ended in group.exits():
+                    self._on_exit(group, ended, monotonic())
+                group.restart_due(monotonic())
                 with suppress(Empty):
                     woken.get(timeout=LOOK_INTERVAL)
             if stop.signal is not None:
-                self._dismiss(crew, stop, woken)
+                self._stop(group, stop, woken)
 
-    def _hire(self, crew: ProcessGroup) -> None:
+    def _start(self, group: ProcessGroup) -> None:
         cores = sorted(os.sched_getaffinity(0))
         for number in range(self._size):
             name, core = f"worker-{number}", cores[number % len(cores)] if self._is_pinned else None
-            crew.hire(name, "qdgrasp_worker.cli", self._arguments, core)
-            self._there.add(name)
+            group.start(name, "qdgrasp_worker.cli", self._arguments, core)
+            self._running.add(name)
 
-    def _died(self, crew: ProcessGroup, death: ProcessExit, now: float) -> None:
-        if self._beginning.is_hopeless(death, now):
-            raise typer.Exit(death.exit_code)
-        if death.exit_code == 0:
-            self._there.discard(death.name)
+    def _on_exit(self, group: ProcessGroup, ended: ProcessExit, now: float) -> None:
+        if self._startup.is_hopeless(ended, now):
+            raise typer.Exit(ended.exit_code)
+        if ended.exit_code == 0:
+            self._running.discard(ended.name)
             return
-        pause = crew.restart_later(death.name, now)
-        log.warning(f"{death.name} {death.words}; it is started again in {pause:.1f} s")
+        pause = group.restart_later(ended.name, now)
+        log.warning(f"{ended.name} {ended.description}; it is started again in {pause:.1f} s")
 
-    def _dismiss(self, crew: ProcessGroup, stop: Stop, woken: "SimpleQueue[None]") -> None:
+    def _stop(self, group: ProcessGroup, stop: Stop, woken: "SimpleQueue[None]") -> None:
         """Ask the workers to stop by the first signal, then by SIGINT if that comes; end the others."""
         passed_on = stop.signal or signal.SIGTERM
-        crew.bid_leave(passed_on)
+        group.request_stop(passed_on)
         kill_at = monotonic() + self._grace
-        while (pids := crew.pids()) and monotonic() < kill_at:
+        while (pids := group.pids()) and monotonic() < kill_at:
             if stop.latest == signal.SIGINT != passed_on:
                 passed_on = signal.SIGINT
                 for pid in pids.values():
                     os.kill(pid, passed_on)
             with suppress(Empty):
                 woken.get(timeout=LOOK_INTERVAL)
-        crew.dismiss(passed_on)
+        group.stop(passed_on)
 
 
 def worker_arguments(context: typer.Context) -> list[str]:
