@@ -4,13 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 
 def printable(text: str, most: int | None = None) -> str:
-    r"""The text on one line, with escapes (`\x1b`, `\n`) for what is no printable character.
-
-    Parameters
-    ----------
-    most
-        So many characters are kept; None: all.
-    """
+    r"""The text on one line, at most `most` characters, with escapes for unprintable ones."""
     shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
     return shown[:most]
 

@@ -74,7 +74,7 @@ class Ear:
 
 
 def connected(near: Bus, far: Bus) -> None:
-    """Wait until `near` knows all that `far` declared: a session's declarations keep their order."""
+    """Wait until `near` knows what `far` declared; declarations of a session keep their order."""
     ear = Ear()
     with near.watch("test/here", ear), far.token("test/here"):
         assert ear.next() == ("test/here", True)

@@ -1,4 +1,4 @@
-"""The swept_volume of a closing hand, and how much of an object is in it."""
+"""The swept volume of a closing hand, and how much of an object is in it."""
 
 from functools import partial
 
@@ -64,7 +64,7 @@ def test_what_is_in_it_is_more_than_what_is_so_from_opposite_sides_and_nothing_i
 
 
 def test_what_is_in_it_moves_with_the_hand(volumes, grasps, around):
-    """Points that stand alike before every hand are alike in its swept_volume, where hands close alike."""
+    """Points that stand alike before every hand are alike in its volume, if hands close alike."""
     alike = np.flatnonzero(grasps.synergies == grasps.synergies[0])
     alike = alike[(np.abs(grasps.joints[alike] - grasps.joints[0]) < 1e-6).all(axis=1)][:8]
     found = [
@@ -87,7 +87,7 @@ def test_it_is_measured_once_for_each_way_of_closing(volumes, grasps, scene, mon
     shares(volumes, grasps, scene.surface_points)
     synergies, places = len(scene.gripper.synergies) or 1, 5 ** len(scene.gripper.free_joints)
     assert 1 <= len(volumes._found) <= synergies * places
-    assert sum(swept_volume.voxels.levels.nbytes for swept_volume in volumes._found.values()) < 50e6
+    assert sum(volume.voxels.levels.nbytes for volume in volumes._found.values()) < 50e6
 
 
 def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_palm(make_scene):

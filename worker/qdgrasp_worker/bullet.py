@@ -109,10 +109,7 @@ class Bullet:
     def load(self, urdf: Path, *, fixed: bool) -> int:
         """Load a URDF without its visual shapes; its inertias are those of the collision shapes.
 
-        Raises
-        ------
-        AssetError
-            Bullet cannot read it, or a mesh that it names.
+        An AssetError if Bullet cannot read it, or a mesh that it names.
         """
         flags = pb.URDF_IGNORE_VISUAL_SHAPES
         try:

@@ -115,6 +115,7 @@ class DistanceField:
         for hull, course, corners in paths:
             for look, moved in path_samples(corners):
                 voxels.mark(hull.moved(course[look]).grown(moved + round_excess(hull) + diagonal / 2), 1)
+        # Distances are of voxels' middles: a point and what is marked may each be half a diagonal nearer.
         away = distance_transform_edt(voxels.levels == 0) * pitch - diagonal
         voxels.levels = np.clip(away / DISTANCE_UNIT, 0, 255).astype(np.uint8)
         return cls(voxels)
@@ -279,12 +280,8 @@ NO_CONTACT_FILTER = NoContactFilter()
 class ContactFilter:
     """Finds poses at which a scene's hand surely misses, without the simulator.
 
-    Parameters
-    ----------
-    closing
-        How the hand closes on nothing; asked when a synergy is first met.
-    follows_free_joints
-        Whether the test for overlap has the free joints where the grasp has them, or open.
+    `closing` closes the hand on nothing, when a synergy is first met. The test for overlap has the free
+    joints where the grasp has them (`follows_free_joints`), or open.
     """
 
     def __init__(

@@ -36,12 +36,8 @@ class RayExits(NamedTuple):
 def last_exits(origins: Floats, directions: Floats, corners: Floats, length: float) -> RayExits:
     """The last exits along rays from `origins` (n, 3) [m] in unit `directions` (n, 3).
 
-    Parameters
-    ----------
-    corners
-        (t, 3, 3) [m]: the triangles of a closed mesh, wound outward.
-    length
-        How far an exit may be [m].
+    `corners` (t, 3, 3) [m] are the triangles of a closed mesh, wound outward; exits beyond `length` [m] are
+    left out.
     """
     rows = max(1, PAIRS_AT_ONCE // len(corners))
     starts = range(0, len(origins), rows)

@@ -81,7 +81,10 @@ def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
 
 
 def farthest_points(points: Floats) -> NDArray[np.int64]:
-    """Choose at most 1024 of `points` (n, 3): each is the one farthest from those before it."""
+    """Choose at most 1024 of `points` (n, 3): each is the one farthest from those before it.
+
+    Greedy farthest-point sampling (Gonzalez 1985), so that the first points lie wide apart.
+    """
     chosen = np.zeros(min(SAMPLE_POINTS, len(points)), dtype=np.int64)
     distances = np.full(len(points), np.inf)
     columns = np.ascontiguousarray(points.T)
@@ -99,10 +102,7 @@ POINTS_AT_ONCE = 1 << 15  # Points that are looked up at once: they fit in the c
 class OverlapFilter:
     """Finds poses of a scene at which the hand surely overlaps.
 
-    Parameters
-    ----------
-    follows_free_joints
-        Whether the hand is tested with its free joints where the grasp has them, or open.
+    The hand is tested with its free joints where the grasp has them (`follows_free_joints`), or open.
     """
 
     def __init__(self, gripper: SceneGripper, solid: ObjectSolid, *, follows_free_joints: bool) -> None:

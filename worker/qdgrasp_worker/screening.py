@@ -109,6 +109,7 @@ class SweptVolumes:
         looks = len(next(iter(frames.values())))
         ways = np.zeros((1 + looks * len(parts), 3), dtype=np.int32)
         for i, (course, hull) in enumerate(parts):
+            # Of several fingers the first counts: an earlier look has a greater level, and `mark` keeps that.
             levels = 1 + i + len(parts) * np.arange(looks)[::-1]
             ways[levels] = motion_directions(course, hull, self._approach)
             for frame, level in zip(course, levels.tolist(), strict=True):
@@ -224,14 +225,9 @@ class Shortlist:
 class CandidateScreen:
     """Screens a scene's poses before they are simulated.
 
-    Parameters
-    ----------
-    closing
-        How the hand closes on nothing.
-    follows_free_joints
-        Whether the test for overlap has the free joints where the grasp has them, or open.
-    filters
-        Whether poses that surely overlap are left out; it changes no result.
+    `closing` closes the hand on nothing. The test for overlap has the free joints where the grasp has them
+    (`follows_free_joints`), or open. It `filters` poses that surely overlap, or does not, with the same
+    results.
     """
 
     def __init__(
@@ -254,12 +250,8 @@ class CandidateScreen:
     ) -> tuple[list[Shortlist], NDArray[np.float32]]:
         """The shortlist of each genome of a batch, and the features (poses, f) of what is ranked.
 
-        Parameters
-        ----------
-        trials
-            (n,): beyond 0 a genome's only pose is disturbed and not filtered; of several one is chosen first.
-        wanted
-            (n,): the genomes that are looked at; the others have empty lists.
+        Beyond trial 0 a genome's only pose is disturbed and not filtered; of several one is chosen first.
+        Genomes that are not `wanted` (n,) have empty lists.
         """
         is_pose = ~grasps.dead_ends & wanted[grasps.genome_of]
         (poses,) = np.nonzero(is_pose)

@@ -90,17 +90,7 @@ UPRIGHT_NORMAL = 1e-9  # The z of a normal below which a plane is taken for upri
 
 
 class VoxelGrid:
-    """Levels from 0, of cubes in a box.
-
-    Parameters
-    ----------
-    low, high
-        The corners (3,) of the box [m].
-    pitch
-        The side of a cube [m].
-    kind
-        What levels are kept in.
-    """
+    """Levels from 0, of cubes of side `pitch` [m] in a box from `low` (3,) to `high` (3,) [m]."""
 
     def __init__(self, low: Floats, high: Floats, pitch: float, kind: type[Kind] = np.uint8) -> None:
         self.pitch = pitch

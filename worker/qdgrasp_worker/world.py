@@ -36,10 +36,7 @@ and another answer to whether a finger touches it in 6 % of poses.
 class HandBody:
     """A hand on its carrier, with the indices that Bullet gave to its links and joints.
 
-    Raises
-    ------
-    AssetError
-        Bullet cannot load it, or a joint or link that the scene names is not in the URDF.
+    An AssetError if Bullet cannot load it, or a joint or link that the scene names is not in the URDF.
     """
 
     def __init__(self, bullet: Bullet, gripper: SceneGripper) -> None:
@@ -56,13 +53,7 @@ class HandBody:
 
 
 class ObjectBody:
-    """An object, with its root link at its centre of mass.
-
-    Raises
-    ------
-    AssetError
-        Bullet cannot load it.
-    """
+    """An object, with its root link at its centre of mass; an AssetError if it cannot be loaded."""
 
     def __init__(self, bullet: Bullet, target: SceneObject) -> None:
         urdf = OBJECT_URDF.format(mass=target.mass)
@@ -112,13 +103,7 @@ FREE_POSTURES = 13
 
 
 class World:
-    """A hand on its carrier and an object, until `close`.
-
-    Raises
-    ------
-    AssetError
-        Bullet cannot load the scene, or a joint or link that it names is not there.
-    """
+    """A hand on its carrier and an object, until `close`; an AssetError if one cannot be loaded."""
 
     def __init__(self, scene: Scene) -> None:
         self._bullet = Bullet()
@@ -158,13 +143,7 @@ class World:
         self._bullet.set_joints(self._hand.body, self._hand.fingers, posture)
 
     def close_fingers(self, synergy: int) -> None:
-        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
-
-        Raises
-        ------
-        ValueError
-            The hand has no synergy of this label.
-        """
+        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold."""
         if synergy not in self._closing:
             raise ValueError(f"synergy must be one of {sorted(self._closing)}, got {synergy}")
         for index, target, motor in self._closing[synergy]:

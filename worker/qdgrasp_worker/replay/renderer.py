@@ -70,13 +70,7 @@ class CameraMatrices:
 
 
 def fit_camera(points: Floats, azimuth: float, elevation: float, aspect: float) -> CameraMatrices:
-    """The nearest one that has all of `points` (n, 3) [m] in its picture.
-
-    Parameters
-    ----------
-    aspect
-        Of the picture: width over height.
-    """
+    """The nearest camera with all `points` (n, 3) [m] in a picture of this width over height."""
     axes = _camera_axes(np.radians(azimuth), np.radians(elevation))
     right, up, back = (points @ axes.T).T
     slope = np.tan(FIELD_OF_VIEW / 2) * FILLED_SHARE
@@ -139,12 +133,8 @@ def contact_points(
 ) -> tuple[ContactPoint, ...]:
     """The contacts of a hand with an object, of the last collision detection.
 
-    Parameters
-    ----------
-    links
-        The names of the hand's links by number.
-    fingers
-        The numbers of those whose touch makes a success.
+    `links` are the names of the hand's links by number, `fingers` the numbers of those whose touch makes a
+    success.
     """
     found = pb.getContactPoints(hand, target, physicsClientId=bullet._client)
     return tuple(
@@ -170,12 +160,9 @@ class SegmentationMask:
 
 
 class Renderer:
-    """A scene to be looked at; a context manager that leaves it.
+    """Pictures of a scene; a context manager that leaves it.
 
-    Parameters
-    ----------
-    parts
-        Whether the object is drawn as its convex parts, instead of its surface.
+    The object is drawn as its convex `parts`, or as its surface.
     """
 
     def __init__(self, scene: Scene, *, parts: bool = False) -> None:
@@ -293,7 +280,7 @@ def best_view(renderer: Renderer, still: Snapshot) -> tuple[float, float]:
 
 
 def corners_around(renderer: Renderer, snapshots: Iterable[Snapshot], still: Snapshot) -> Floats:
-    """(n, 3) [m]: corners around hand and object in all snapshots; a lost object is not followed."""
+    """(n, 3) [m]: corners around hand and object in all snapshots, without a lost object."""
     renderer.place(still)
     corners = [renderer.corners()]
     for snapshot in snapshots:

@@ -134,20 +134,8 @@ class GracefulShutdown:
 class WorkerService:
     """Serves the jobs on a bus until it is asked to stop.
 
-    Parameters
-    ----------
-    bus
-        An open session.
-    simulator
-        Evaluates; its events come to `inbox`.
-    inbox
-        The queue that this service waits on.
-    store
-        Keeps scenes on disk.
-    job
-        The only job to serve; None: every job there is.
-    grace
-        Seconds that the batch in work may still take after SIGTERM.
+    The simulator's events come to `inbox`, which this service waits on. It serves one `job`, or every job
+    there is. After SIGTERM the batch in work may still take `grace` seconds.
     """
 
     def __init__(

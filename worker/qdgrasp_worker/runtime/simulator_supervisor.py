@@ -226,14 +226,8 @@ class OtherPlatform(QdgraspError):
 class SimulatorSupervisor:
     """Evaluates batches in a simulator's process; a context manager that ends it.
 
-    Parameters
-    ----------
-    start
-        Starts a simulator; its events are to come back to `on_event`.
-    row_seconds
-        The CPU seconds that a row may take, as the simulator was told.
-    memory
-        The most that it may take between two batches [bytes]; above that another one is started.
+    `start` starts a simulator whose events come back to `on_event`. Above `memory` bytes between two batches
+    another one is started. `row_seconds` are the CPU seconds of a row, as the simulator was told.
     """
 
     def __init__(self, start: Callable[[], SimulatorClient], *, row_seconds: float, memory: int) -> None:
@@ -334,14 +328,8 @@ class SimulatorSupervisor:
         """Take a message or the end of the simulator; those of an older one are passed over.
 
         Returns the batches that are done, and those that a kill from outside took away: of these not all rows
-        are known, and nothing is known against them.
-
-        Raises
-        ------
-        NoSimulator
-            No simulator can be started here.
-        OtherPlatform
-            This one is of another platform than the one before.
+        are known, and nothing is known against them. NoSimulator if none can be started here, OtherPlatform
+        if this one is of another platform than the one before.
         """
         if event.simulator is not self._simulator or self.restart_at < inf:
             return []
