@@ -159,4 +159,4 @@ def test_workers_are_started_in_one_place() -> None:
     starters = [
         file.relative_to(room) for file in room.rglob("*.py") if '.start(f"worker' in file.read_text()
     ]
-    assert starters == [Path("watching/workers.py")]
+    assert starters == [Path("local/restart_policy.py")]

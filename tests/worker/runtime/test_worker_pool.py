@@ -75,7 +75,7 @@ class Crewlike:
 def test_a_worker_that_is_turned_away_while_another_serves_is_started_again():
     crew, team = Crewlike(), WorkerPool(2, [], grace=1.0, wait=0.0, is_pinned=False)
     for _ in range(2):
-        team._died(crew, ProcessExit("worker-0", 2), 0.0)
+        team._on_exit(crew, ProcessExit("worker-0", 2), 0.0)
     assert crew.restarted == ["worker-0", "worker-0"]
 
 
