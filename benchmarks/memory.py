@@ -21,8 +21,7 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import MOST_CANDIDATES, layout
 from qdgrasp_assets.scene import Scene, pack_scene, unpack_scene
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.evaluator import MAX_EVALUATORS, Evaluator, EvaluatorCache
-from qdgrasp_worker.runtime.simulator_main import ROWS_AT_ONCE
+from qdgrasp_worker.evaluator import MAX_EVALUATORS, ROWS_AT_ONCE, Evaluator, EvaluatorCache
 
 LOOKS = 20
 """How often a course is looked at; the first fifth of it is warming up."""

@@ -1,4 +1,4 @@
-"""Transfer of scene bundles over the bus: content-addressed, one query per chunk (docs/bus.md, keys)."""
+"""Transfer of scene bundles over the bus, by their sha256, a query per chunk (docs/bus.md)."""
 
 import hashlib
 
@@ -12,26 +12,14 @@ CHUNK_SIZE = 512 << 10  # Bytes of a bundle in one answer
 
 
 class TooLarge(MessageError):
-    """Error for a scene larger than the limit.
-
-    Parameters
-    ----------
-    total
-        Its number of chunks.
-    """
+    """A scene that is larger than one can be, by its number of chunks."""
 
     def __init__(self, total: int) -> None:
         super().__init__(f"the scene has {total} chunks, more than {messages.MAX_BUNDLE // CHUNK_SIZE}")
 
 
 def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
-    """Return the chunk of a bundle that a query names by `i=<number>`.
-
-    Raises
-    ------
-    Refused
-        It asks for another bundle, or for a chunk that this one does not have.
-    """
+    """The chunk of a bundle that a query names by `i=<number>`; Refused if there is no such one."""
     if last_chunk(query.key) != digest:
         raise Refused("no such scene here")
     total = max(1, -(-len(payload) // CHUNK_SIZE))
@@ -43,21 +31,15 @@ def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
 
 
 def fetch_bundle(bus: Bus, job: str, digest: str) -> bytes:
-    """Fetch all bytes of a bundle from the coordinator of a job; raises as `gather`."""
+    """All bytes of a bundle, from the coordinator of a job; raises as `fetch_bundle_from`."""
     return fetch_bundle_from(bus, Keys(job).asset(digest), digest)
 
 
 def fetch_bundle_from(bus: Bus, key: str, digest: str) -> bytes:
-    """Fetch all bytes of a bundle, chunk by chunk, from `key`.
+    """All bytes of a bundle, from the process that answers on `key`.
 
-    Raises
-    ------
-    NoReply, Refused
-        `key` is not answered, or there is no such scene.
-    TooLarge
-        It is larger than a scene can be.
-    MessageError
-        The bytes are not the scene of that digest.
+    NoReply or Refused if there is no such scene, TooLarge if it cannot be one, a MessageError if what came is
+    not the scene of that digest.
     """
     first = messages.decode(bus.ask(key, parameters="i=0"), Chunk)
     if first.total * CHUNK_SIZE > messages.MAX_BUNDLE:

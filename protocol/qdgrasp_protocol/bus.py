@@ -58,16 +58,13 @@ answer; any other exception is an internal error: it is logged, and the asker ge
 ValuesHandler = Callable[[Query], Mapping[str, bytes]]
 """Answers a query, possibly a pattern, with values by key; raises as a `QueryHandler`."""
 TokenHandler = Callable[[str, bool], None]
-"""Called with a key and whether its token is alive (True) or gone (False)."""
+"""Takes a key, and True if its token is alive, False if it is gone."""
 
 
 class Declaration(AbstractContextManager[Any]):
-    """A declaration of a session: it holds from the call that made it until its context ends.
+    """Something a session declared: it holds from the call that made it until its context ends.
 
-    Parameters
-    ----------
-    undo
-        Called once to take it back.
+    `undo` takes it back; it is called once.
     """
 
     def __init__(self, undo: Callable[[], object] = lambda: None) -> None:
@@ -82,10 +79,7 @@ class Declaration(AbstractContextManager[Any]):
 
 
 class RingBuffer(Declaration, ABC):
-    """Bounded buffer of the latest messages that are not yet taken.
-
-    It never blocks the sender: when it is full, the oldest message is dropped for the next one.
-    """
+    """The newest messages that are not taken yet: when it is full, the oldest gives way."""
 
     def __enter__(self) -> Self:
         return self
@@ -122,31 +116,26 @@ class Bus(ABC):
 
     @abstractmethod
     def ring(self, pattern: str, capacity: int) -> RingBuffer:
-        """Buffer the latest `capacity` messages whose key matches `pattern` until the context ends.
+        """Keep the latest `capacity` messages whose key matches `pattern` until the context ends.
 
-        For monitoring: no code of ours runs when a message comes, and a reader that stops blocks no sender.
+        For processes that only watch: no code of ours runs when a message comes, and a reader that stops
+        reading holds up no other.
         """
 
-    @abstractmethod
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries on `pattern` until the context ends, one at a time; see `QueryHandler`."""
+        return self.answer_values(pattern, lambda query: {query.key: handler(query)})
 
     @abstractmethod
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
-        """Query `key` and return the first answer; fails at once if `key` has no queryable.
+        """Query `key` and return the first answer; it fails at once if there is no queryable.
 
-        Raises
-        ------
-        Refused
-            The other side answered with a reason why not.
-        NoReply
-            Nobody answers there, or not within `timeout` seconds.
-        Faulty
-            The other side failed.
+        Refused if the other side gives a reason why not, NoReply if there is no answer within `timeout`
+        seconds, and Faulty if the other side failed.
         """
 
     @abstractmethod
-    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries on `pattern`, which may be patterns too, with any number of values by key.
 
         Values whose keys do not match what was asked are left out.

@@ -60,12 +60,9 @@ CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
 
 
 def usage_error(error: TyperException, name: str) -> str:
-    """Describe the error in a command line, and name the help to read.
+    """The sentence that refuses a command line: the fault, and the help that tells more.
 
-    Parameters
-    ----------
-    name
-        Name of the program, for errors that do not know their command.
+    `name` is the program's, for errors that do not know their command.
     """
     context = getattr(error, "ctx", None)
     command = name if context is None else context.command_path

@@ -20,13 +20,7 @@ def job_name(text: str) -> str:
 
 
 class Keys:
-    """The keys of one job.
-
-    Raises
-    ------
-    ImpossibleValue
-        The job's name is not of the allowed characters.
-    """
+    """The keys of one job; an ImpossibleValue if its name is not of the allowed characters."""
 
     def __init__(self, job: str) -> None:
         if not NAME.fullmatch(job):

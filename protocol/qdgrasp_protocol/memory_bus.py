@@ -1,4 +1,4 @@
-"""The in-memory twin of the bus, with links that can be cut: for tests, and for jobs in one process.
+"""The in-memory twin of the bus, with links that can be cut: for tests and one-process jobs.
 
 A message is delivered in the thread that puts it, before `put` returns, to subscribers in the order they
 subscribed: one thread that acts sees everything in one order. A query is answered in a thread of its own,
@@ -19,7 +19,6 @@ from qdgrasp_protocol.bus import (
     Channel,
     Declaration,
     Query,
-    QueryHandler,
     RingBuffer,
     Sample,
     SampleHandler,
@@ -49,7 +48,7 @@ class LivelinessToken(Registration):
 
 
 class Subscriber(Registration):
-    """A subscription of a session."""
+    """A session receives messages."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: SampleHandler) -> None:
         super().__init__(session, pattern)
@@ -89,14 +88,14 @@ class Queryable(Registration):
 
 
 class LivelinessWatcher(Registration):
-    """A watch on tokens; it remembers which ones it reported alive."""
+    """A session watches tokens; it knows those that were reported alive."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: TokenHandler) -> None:
         super().__init__(session, pattern)
         self._handler = handler
         self._alive: list[str] = []
 
-    def look(self, tokens: list[str]) -> None:
+    def update(self, tokens: list[str]) -> None:
         """Report the changes since the last call to the handler."""
         before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
         self._alive = now
@@ -123,25 +122,25 @@ class MemoryNetwork:
         """Add an entry until its declaration ends."""
         with self._lock:
             self._entries.append(entry)
-            self.tell_tokens()
+            self.report_tokens()
         return Declaration(lambda: self.remove(lambda other: other is entry))
 
     def remove(self, is_over: Callable[[Registration], bool]) -> None:
         """Remove entries."""
         with self._lock:
             self._entries = [entry for entry in self._entries if not is_over(entry)]
-            self.tell_tokens()
+            self.report_tokens()
 
     def visible(self, kind: type[E], session: "MemoryBus") -> list[E]:
         """Return the entries of a kind that `session` can reach."""
         with self._lock:
             return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
 
-    def tell_tokens(self) -> None:
-        """Have every watcher report changes in the tokens it can reach."""
+    def report_tokens(self) -> None:
+        """Report the tokens that it can see to every watcher."""
         with self._lock:
             for watcher in [e for e in self._entries if isinstance(e, LivelinessWatcher)]:
-                watcher.look([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
+                watcher.update([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
 
 
 class MemoryBus(Bus):
@@ -157,16 +156,16 @@ class MemoryBus(Bus):
         """Return whether two sessions are connected."""
         return self is other or not (self._is_cut or other._is_cut)
 
-    def cut(self) -> None:
+    def disconnect(self) -> None:
         """Break the link to all others; messages put meanwhile are lost."""
         self._set_cut(True)
 
-    def mend(self) -> None:
+    def reconnect(self) -> None:
         """Restore the link; tokens appear again."""
         self._set_cut(False)
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        """Deliver a message to all its subscribers before this call returns."""
+        """Deliver a message to every subscriber before this call returns."""
         self._check_open()
         sample = Sample(key, bytes(payload), encoding)
         for subscriber in self._network.visible(Subscriber, self):
@@ -183,11 +182,7 @@ class MemoryBus(Bus):
         ring.undo = self._declare(Subscriber(self, pattern, ring.heard.append)).undo
         return ring
 
-    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries, one at a time."""
-        return self.show(pattern, lambda query: {query.key: handler(query)})
-
-    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries with values."""
         return self._declare(Queryable(self, pattern, handler))
 
@@ -225,7 +220,7 @@ class MemoryBus(Bus):
         return self._declare(LivelinessWatcher(self, pattern, handler))
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Report `cut` and `mend`."""
+        """Report `disconnect` and `reconnect`."""
         self._check_open()
         self._links.append(handler)
         return Declaration(lambda: self._links.remove(handler))
@@ -244,7 +239,7 @@ class MemoryBus(Bus):
             self._is_cut = cut
             for handler in list(self._links):
                 _call(handler, not cut)
-            self._network.tell_tokens()
+            self._network.report_tokens()
 
     def _check_open(self) -> None:
         if not self._is_open:

@@ -344,13 +344,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(payload: bytes, kind: type[M]) -> M:
-    """Return the message of `kind` in `payload`.
-
-    Raises
-    ------
-    MessageError
-        The payload is not MessagePack within the limits, or not of the schema.
-    """
+    """The message of `kind` in `payload`; a MessageError if it is not MessagePack of the schema."""
     if len(payload) > MAX_PAYLOAD:
         raise MessageError(f"{len(payload)} bytes are more than a message may have ({MAX_PAYLOAD})")
     values = _unpack(payload, MAX_CONTAINERS, MESSAGE_LIMITS)
@@ -361,26 +355,14 @@ def decode(payload: bytes, kind: type[M]) -> M:
 
 
 def decode_sample(sample: "Sample", kind: type[M]) -> M:
-    """Return the message of `kind` in a sample.
-
-    Raises
-    ------
-    MessageError
-        It is said to be of another encoding, which is not even looked at, or is no such message.
-    """
+    """The message of `kind` in a sample; a MessageError if its encoding or content is another."""
     if sample.encoding != encoding(kind):
         raise MessageError(f"expected {encoding(kind)}, got {printable(sample.encoding, MAX_REASON)}")
     return decode(sample.payload, kind)
 
 
 def check_bundle(payload: bytes) -> None:
-    """Check that the bytes of a scene are MessagePack within the limits.
-
-    Raises
-    ------
-    MessageError
-        They are not.
-    """
+    """Check that the bytes of a scene are MessagePack of limited size, or raise a MessageError."""
     _unpack(payload, MAX_BUNDLE_CONTAINERS, BUNDLE_LIMITS)
 
 

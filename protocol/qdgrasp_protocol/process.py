@@ -1,4 +1,4 @@
-"""Processes: how one ends, how it logs, and groups of them that a command starts and watches.
+"""Processes: their end, their logs, and groups of them that a command starts and watches.
 
 A process lives until its work is done, a signal comes, or whoever started it is gone. A service waits on an
 inbox; stopping puts one more event into it. So no loop polls for signals, and a process ends within the time
@@ -124,12 +124,12 @@ class UnbufferedStderr:
     """Standard error without a buffer; write errors, as on a full disk, are ignored."""
 
     def write(self, text: str) -> None:
-        """Write at once; text that cannot be written is lost."""
+        """Write text at once."""
         with suppress(OSError):
             os.write(STANDARD_ERROR, text.encode(errors="replace"))
 
     def flush(self) -> None:
-        """Do nothing, as nothing is buffered."""
+        """Do nothing: no text waits."""
 
 
 def escape_event(_logger: object, _method: str, event: EventDict) -> EventDict:
@@ -173,7 +173,7 @@ STEADY_SECONDS = 5.0  # seconds of life after which the next death starts from t
 
 @dataclass
 class GroupMember:
-    """One process of a `ProcessGroup`."""
+    """One process of a group."""
 
     name: str
     arguments: list[str]
@@ -191,14 +191,14 @@ class GroupMember:
 
 @dataclass(frozen=True)
 class ProcessExit:
-    """End of a process of a `ProcessGroup`."""
+    """A member of the group ended."""
 
     name: str
     exit_code: int
     """Exit code; negative: the signal that killed it."""
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the end for a person."""
         if self.exit_code < 0:
             return f"was killed by {signal.Signals(-self.exit_code).name}"
@@ -211,14 +211,9 @@ def back_off(restarts: int) -> float:
 
 
 class ProcessGroup:
-    """Child processes by name, started again on request and ended together.
+    """Processes by name, each with a log file in `logs`; without a folder they use our output.
 
-    Parameters
-    ----------
-    logs
-        Folder of the log files, one for each; None: this process's standard error.
-    grace
-        Seconds that they may take to stop.
+    `grace` is the seconds that they may take to stop.
     """
 
     def __init__(self, logs: Path | None, grace: float = GRACE) -> None:
@@ -232,7 +227,7 @@ class ProcessGroup:
         """Most seconds that a process may be given to stop."""
         return max(0.0, self._grace - GRACE_MARGIN)
 
-    def hire(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
+    def start(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
         """Start `python -m module arguments` as the process `name`, on one core or on any."""
         command = [sys.executable, "-m", module, *arguments]
         log = self._log(name)
@@ -242,7 +237,7 @@ class ProcessGroup:
             name, command, log, _start(command, log, core), started, log_start=began, core=core
         )
 
-    def deaths(self) -> list[ProcessExit]:
+    def exits(self) -> list[ProcessExit]:
         """Return the processes that ended since the last call and are not yet to be restarted."""
         found = []
         for member in self._members.values():
@@ -269,7 +264,7 @@ class ProcessGroup:
                 member.process, member.started = _start(member.arguments, member.log, member.core), now
                 member.restart_at = None
 
-    def last_words(self, name: str) -> str:
+    def last_error(self, name: str) -> str:
         """Return the error sentence with which a process ended; empty where it ended without one."""
         member = self._members[name]
         if member.log is None:
@@ -293,16 +288,16 @@ class ProcessGroup:
     def _alive(self) -> list[subprocess.Popen[bytes]]:
         return [member.process for member in self._members.values() if member.process.poll() is None]
 
-    def bid_leave(self, number: int = signal.SIGTERM) -> None:
+    def request_stop(self, number: int = signal.SIGTERM) -> None:
         """Send every process a signal to stop; the grace begins."""
         self._leave_by = time.monotonic() + self._grace
         for process in self._alive():
             process.send_signal(number)
 
-    def dismiss(self, number: int = signal.SIGTERM) -> None:
+    def stop(self, number: int = signal.SIGTERM) -> None:
         """End every process by a signal, then, after the grace, by SIGKILL."""
         if self._leave_by is None:
-            self.bid_leave(number)
+            self.request_stop(number)
         for process in self._alive():
             try:
                 process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
@@ -318,7 +313,7 @@ class ProcessGroup:
     def __exit__(
         self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
     ) -> None:
-        self.dismiss()
+        self.stop()
 
     def _log(self, name: str) -> Path | None:
         if self._logs is None:

@@ -223,12 +223,9 @@ def pack(rows: Rows, columns: Sequence[RowColumn]) -> dict[str, bytes]:
 
 
 def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes], shape: RowShape) -> Rows:
-    """Fill `columns` of `rows` from blobs; their lengths and that floats are finite are checked.
+    """Fill `columns` of `rows` from blobs.
 
-    Raises
-    ------
-    MessageError
-        A blob is missing, of the wrong length, or holds a number that is not finite.
+    A MessageError if a blob is missing, of the wrong length, or holds a number that is not finite.
     """
     for column in columns:
         blob, expected = blobs.get(column.name), len(rows) * shape.dtype[column.name].itemsize

@@ -1,4 +1,4 @@
-"""Sessions on the bus: endpoints, certificates, settings, and why a session could not be opened.
+"""Sessions on the bus: endpoints, certificates, settings, and reasons of failed openings.
 
 An endpoint is where a session listens or connects. A session proves its role with the files of a folder that
 `qdgrasp security init` wrote. One builder makes the settings of every session, for our own processes and for
@@ -36,19 +36,7 @@ ENCRYPTED = frozenset({"tls", "quic"})
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A network address, such as `tls/head:7447`.
-
-    Attributes
-    ----------
-    text
-        As it was written.
-    protocol
-        `tcp`, `tls` ...
-    host
-        A name or an address; empty for a socket file.
-    port
-        0 for a socket file.
-    """
+    """A place on the network, such as `tls/head:7447`."""
 
     text: str
     protocol: str
@@ -57,13 +45,7 @@ class Endpoint:
 
     @classmethod
     def parse(cls, text: str) -> "Endpoint":
-        """Read one endpoint.
-
-        Raises
-        ------
-        EndpointError
-            The text is not an endpoint.
-        """
+        """Read one endpoint; an EndpointError if the text is not one."""
         if match := HOST_AND_PORT.fullmatch(text):
             host = match["host"].removeprefix("[").removesuffix("]")
             if (port := int(match["port"])) < 1 << 16:
@@ -79,7 +61,7 @@ class Endpoint:
 
     @property
     def is_local(self) -> bool:
-        """True if only this machine can reach it."""
+        """Only this machine gets there."""
         if not self.host:
             return True
         try:
@@ -100,13 +82,7 @@ class Endpoint:
 
 
 def parse_endpoints(text: str) -> tuple[Endpoint, ...]:
-    """Read endpoints that are separated by commas, one or more.
-
-    Raises
-    ------
-    EndpointError
-        A part of the text is not an endpoint.
-    """
+    """Read endpoints that are separated by commas, one or more."""
     return tuple(Endpoint.parse(part) for part in text.split(","))
 
 
@@ -117,13 +93,7 @@ def default_endpoint(*, encrypted: bool) -> Endpoint:
 
 
 def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
-    """Check that a router's endpoint is local or encrypted, unless told otherwise.
-
-    Raises
-    ------
-    EndpointError
-        Other machines can reach it, it is not encrypted, and that was not asked for.
-    """
+    """Check that a router listens where no stranger gets, or is encrypted, or meant to be open."""
     if endpoint.is_local or endpoint.is_encrypted:
         return
     if not insecure:
@@ -149,9 +119,9 @@ class Role(StrEnum):
     RECORDER = "recorder"
     WORKER = "worker"
     MONITOR = "monitor"
-    """Subscribes to figures, and publishes nothing."""
+    """Watches, and sends nothing."""
     ADMIN = "admin"
-    """Queries the state of jobs, receives their figures, and pauses, continues or ends a job."""
+    """Asks for the state and figures of jobs, and tells a job to pause, go on or end."""
 
     @property
     def common_name(self) -> str:
@@ -176,12 +146,9 @@ class Credentials:
 
     @classmethod
     def find(cls, folder: Path | None, role: Role) -> "Credentials | None":
-        """Return the files of a role in a folder; None if no folder is named.
+        """The files of a role in a folder, checked; None where no folder was named.
 
-        Raises
-        ------
-        SecurityError
-            A file is missing or cannot be read, or others on this machine can read the key.
+        A SecurityError if one is missing or cannot be read, or others on this machine can read the key.
         """
         if folder is None:
             return None
@@ -247,7 +214,7 @@ def _forbidden_permissions(key: Path) -> int:
 
 
 Mode = Literal["client", "router"]
-"""Session mode: routers relay, all other sessions are clients of them."""
+"""Routers relay; all others are clients of them."""
 ZenohSettings = dict[str, object]
 """Values by their path in a zenoh configuration."""
 
@@ -275,24 +242,11 @@ def session_settings(
     credentials: Credentials | None = None,
     seconds: float = 0.0,
 ) -> ZenohSettings:
-    """Return the settings of a session.
+    """The settings of a session, whose endpoints are encrypted where there are credentials.
 
-    Parameters
-    ----------
-    listen
-        Where a router listens.
-    connect
-        Routers: a client connects to the first that answers, and to another one when that is lost;
-        a router connects to each, now or later.
-    credentials
-        What the session proves its role with; None: nothing, on links without encryption.
-    seconds
-        How long opening a client may take; a connection lost later is sought for ever.
-
-    Raises
-    ------
-    EndpointError
-        An encrypted endpoint without credentials, or credentials that an endpoint cannot show.
+    A client connects to the first router in `connect` that answers, and to another one when that is lost; a
+    router connects to each, now or later. Opening a client may take so many `seconds`; a connection lost
+    later is sought for ever.
     """
     listening, connecting = tuple(listen), tuple(connect)
     for endpoint in (*listening, *connecting):
@@ -377,17 +331,7 @@ REFUSAL_SECONDS = (
 
 
 class Unreachable(EndpointError):
-    """Error when no router answers, with the reason for encrypted endpoints.
-
-    Parameters
-    ----------
-    endpoints
-        All that were tried.
-    seconds
-        Time spent trying.
-    credentials
-        Credentials of the session.
-    """
+    """No router answers, with the reason for encrypted endpoints."""
 
     def __init__(
         self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
@@ -400,15 +344,7 @@ class Unreachable(EndpointError):
 
 
 class NotListening(EndpointError):
-    """A router cannot listen.
-
-    Parameters
-    ----------
-    endpoint
-        Where.
-    error
-        What zenoh says.
-    """
+    """A router cannot listen on an endpoint, by an error of zenoh."""
 
     def __init__(self, endpoint: str, error: str) -> None:
         why = SYSTEM_ERROR.search(error)
@@ -446,14 +382,9 @@ def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
 
 
 def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
-    """Shake hands with a router, and close; returns whether it would have kept the link.
+    """Shake hands with a router, and leave; True if it would have kept the link.
 
-    Raises
-    ------
-    ssl.SSLError
-        One side does not trust the other.
-    OSError
-        Nobody listens there.
+    An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
     """
     with (
         socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS) as plain,

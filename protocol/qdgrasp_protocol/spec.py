@@ -26,13 +26,7 @@ SEPARATORS = re.compile(r"[,={\[]")
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return the values in a TOML text.
-
-    Raises
-    ------
-    InputError
-        The text is not TOML, or longer or deeper than a spec can be.
-    """
+    """The values in a TOML text; an InputError if it is not TOML, or larger than a spec can be."""
     if len(text) > MAX_TOML_SIZE:
         raise InputError(f"{where} has {len(text)} characters, and none may have more than {MAX_TOML_SIZE}.")
     if any(_dots_in_key(line) > MAX_DOTS for line in text.splitlines()):
@@ -113,17 +107,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
-    """Make a spec of plain values.
-
-    Raises
-    ------
-    UnknownKey
-        A key that no field has; the known ones are named.
-    ImpossibleValue
-        A value of the wrong type or outside what the field allows.
-    InputError
-        `gripper` or `object` is missing.
-    """
+    """Make a spec of plain values; an InputError that names the key if one is unknown or wrong."""
     fields = {field.name: field for field in msgspec.structs.fields(RunSpec)}
     for key in values:
         if key not in fields:
@@ -143,13 +127,7 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
 
 
 def read_run_spec(path: Path) -> dict[str, Any]:
-    """Return the values in a TOML file, not yet checked.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is not TOML.
-    """
+    """The values in a TOML file, not yet checked; an InputError if it cannot be read as TOML."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -160,13 +138,7 @@ def read_run_spec(path: Path) -> dict[str, Any]:
 
 
 def from_toml(text: str, where: str = "spec") -> RunSpec:
-    """Return the spec in a TOML text; the inverse of `to_toml`.
-
-    Raises
-    ------
-    InputError
-        The text is not TOML, or not a spec; see `run_spec`.
-    """
+    """The spec in a TOML text; the inverse of `to_toml`. Errors are those of `run_spec`."""
     return run_spec(parse_toml(text, where), where)
 
 

@@ -1,16 +1,10 @@
-"""Words for people: names and numbers within sentences, and text of others made safe for a terminal."""
+"""Text for people: names and numbers in sentences, and text of others made safe to print."""
 
 from collections.abc import Callable, Iterable, Sequence
 
 
 def printable(text: str, most: int | None = None) -> str:
-    r"""The text on one line, with escapes (`\x1b`, `\n`) for what is no printable character.
-
-    Parameters
-    ----------
-    most
-        So many characters are kept; None: all.
-    """
+    r"""The text on one line, at most `most` characters, with escapes for unprintable ones."""
     shown = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
     return shown[:most]
 

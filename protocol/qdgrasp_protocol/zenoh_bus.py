@@ -15,7 +15,6 @@ from qdgrasp_protocol.bus import (
     Channel,
     Declaration,
     Query,
-    QueryHandler,
     RingBuffer,
     Sample,
     SampleHandler,
@@ -92,20 +91,9 @@ class ZenohBus(Bus):
     ) -> "ZenohBus":
         """Open a session at the router on `endpoint`, trying for `deadline_seconds`.
 
-        Parameters
-        ----------
-        endpoint
-            One, or several separated by commas: the first that answers serves, and when it is lost
-            another one; None: the default one.
-        credentials
-            What the session proves its role with.
-
-        Raises
-        ------
-        EndpointError
-            Nothing answers there in time, or the text is not an endpoint.
-        SystemExit
-            `stop` was set while trying.
+        Of several endpoints, separated by commas, the first that answers serves, and when it is lost another
+        one; None is the default one. An EndpointError if no router answers in time, or the text is not an
+        endpoint; a SystemExit if `stop` was set while trying.
         """
         endpoints = (
             parse_endpoints(endpoint)
@@ -133,26 +121,12 @@ class ZenohBus(Bus):
         credentials: Credentials | None = None,
         insecure: bool = False,
     ) -> "ZenohBus":
-        """Open a session that is the router itself and listens on `endpoint`.
+        """Open a session that is the router itself and listens on `endpoint`, or several.
 
-        Parameters
-        ----------
-        endpoint
-            Where; several are separated by commas.
-        connect
-            Other routers to relay with, now or as soon as they answer.
-        credentials
-            The router's; their folder holds its access list.
-        insecure
-            Listen also where strangers get to.
-
-        Raises
-        ------
-        EndpointError
-            The port is taken, the address is not ours, strangers could get there, or the text is not
-            an endpoint.
-        SecurityError
-            The router's file is no configuration, or has no access list.
+        `connect` names other routers to relay with, now or as soon as they answer. The folder of
+        `credentials` holds the access list. An EndpointError if the port is taken, the address is not ours,
+        or strangers could get there (unless `insecure`); a SecurityError if the router's file is no
+        configuration, or has no access list.
         """
         listening = parse_endpoints(endpoint)
         for place in listening:
@@ -169,13 +143,7 @@ class ZenohBus(Bus):
     def embedded(
         cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
     ) -> tuple["ZenohBus", str]:
-        """Open a router on `endpoint`, or on a free port for None; returns the endpoint too.
-
-        Raises
-        ------
-        EndpointError
-            The endpoint that was named cannot be listened on, or no port is free.
-        """
+        """Open a router on `endpoint`, or on a free port if None; return it with its endpoint."""
         if endpoint is not None:
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
@@ -214,15 +182,6 @@ class ZenohBus(Bus):
         self._hold(ring, declare)
         return ring
 
-    def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries; an unanswered query is released, which ends the asker's wait."""
-
-        def asked(query: zenoh.Query) -> None:
-            with query:
-                _reply(query, handler)
-
-        return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
-
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
         selector = f"{key}?{parameters}" if parameters else key
@@ -239,12 +198,12 @@ class ZenohBus(Bus):
                     raise kind(_reason(reply.err.payload.to_bytes()))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
-    def show(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
-        """Answer queries with values."""
+    def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
+        """Answer queries with values; a query that is let go unanswered ends its asker's waiting."""
 
         def asked(query: zenoh.Query) -> None:
             with query:
-                _show(query, handler)
+                _reply(query, handler)
 
         return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
@@ -364,13 +323,8 @@ def _router_config(credentials: Credentials) -> zenoh.Config:
     return config
 
 
-def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
-    """Answer one query with the handler's answer, or its error."""
-    _show(query, lambda asked: {asked.key: handler(asked)})
-
-
-def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
-    """Answer one query with the values that match it, or the handler's error."""
+def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
+    """Answer one query with the values that match it, or with the error."""
     key = str(query.key_expr)
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:

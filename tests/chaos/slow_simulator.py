@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_worker.evaluator import Evaluation, Evaluator
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation, Evaluator
 from qdgrasp_worker.runtime.simulator_main import load_scene, main
 
 PACE = "CHAOS_PACE"
@@ -14,6 +14,8 @@ PACE = "CHAOS_PACE"
 
 class Slow:
     """An evaluator whose results come later."""
+
+    at_once = ROWS_AT_ONCE
 
     def __init__(self, evaluator: Evaluator, pace: float) -> None:
         self._evaluator = evaluator

@@ -1,4 +1,4 @@
-"""What every bus does: one class of tests over all of them."""
+"""The contract of every bus: one class of tests over all of them."""
 
 import socket
 import subprocess
@@ -74,7 +74,7 @@ class Ear:
 
 
 def connected(near: Bus, far: Bus) -> None:
-    """Wait until what `far` declared is known to `near`: declarations of one session travel in order."""
+    """Wait until `near` knows what `far` declared; declarations of a session keep their order."""
     ear = Ear()
     with near.watch("test/here", ear), far.token("test/here"):
         assert ear.next() == ("test/here", True)
@@ -215,7 +215,10 @@ class TestBus:
 
     def test_values_are_found_by_their_keys_and_by_patterns(self, near: Bus, far: Bus) -> None:
         values = {"test/a/stat/job": b"1", "test/a/stat/run/x": b"2", "test/a/stat/run/y": b"3"}
-        with far.show("test/a/stat/**", lambda _: values), far.show("test/b/stat/**", _other_values):
+        with (
+            far.answer_values("test/a/stat/**", lambda _: values),
+            far.answer_values("test/b/stat/**", _other_values),
+        ):
             connected(near, far)
             assert near.ask("test/a/stat/job", timeout=PATIENCE) == b"1"
             assert near.ask_all("test/a/stat/run/*") == {key: values[key] for key in list(values)[1:]}
@@ -380,13 +383,13 @@ class TestLocalBus:
         far.answer("test/q", lambda query: b"here")
         far.token("test/far")
         assert tokens.next() == ("test/far", True)
-        far.cut()
+        far.disconnect()
         far.put("test/a", b"lost", encoding=TEXT)
         assert links.next() is False
         assert tokens.next() == ("test/far", False)
         with pytest.raises(NoReply):
             near.ask("test/q", timeout=PATIENCE)
-        far.mend()
+        far.reconnect()
         far.put("test/a", b"heard", encoding=TEXT)
         assert messages.next().payload == b"heard"
         assert links.next() is True

@@ -1,4 +1,4 @@
-"""What is said of command lines that cannot be."""
+"""Error sentences and exit codes of impossible command lines and of signals."""
 
 import signal
 import subprocess
@@ -125,7 +125,7 @@ commands.run_command(app, "living")
 
 
 def signalled(code: str, number: int) -> tuple[int, str, str]:
-    """How a program ends that is sent a signal as soon as it is ready."""
+    """The exit of a program that is sent a signal as soon as it is ready."""
     command = [sys.executable, "-c", code]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0

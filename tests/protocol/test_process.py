@@ -80,18 +80,18 @@ def crew(tmp_path):
 
 
 def test_a_death_is_told_once_with_its_exit_code(crew):
-    crew.hire("sleeper", "timeit", ["-n1", "-r1", "import os; os._exit(3)"])
+    crew.start("sleeper", "timeit", ["-n1", "-r1", "import os; os._exit(3)"])
     crew.process("sleeper").wait(PATIENCE)
-    assert crew.deaths() == [ProcessExit("sleeper", 3)]
-    assert crew.deaths() == []
+    assert crew.exits() == [ProcessExit("sleeper", 3)]
+    assert crew.exits() == []
 
 
 def test_a_killed_member_is_started_again_when_its_back_off_is_over(crew):
-    crew.hire("sleeper", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
+    crew.start("sleeper", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
     crew.process("sleeper").kill()
     crew.process("sleeper").wait(PATIENCE)
-    (death,) = crew.deaths()
-    assert death.words == "was killed by SIGKILL"
+    (death,) = crew.exits()
+    assert death.description == "was killed by SIGKILL"
     pause = crew.restart_later("sleeper", now=100.0)
     crew.restart_due(100.0 + pause - 0.01)
     assert crew.pids() == {}
@@ -101,7 +101,7 @@ def test_a_killed_member_is_started_again_when_its_back_off_is_over(crew):
 
 def test_a_member_takes_no_certificates_but_those_that_it_is_told_of(crew, monkeypatch):
     monkeypatch.setenv(SECURITY_VARIABLE, "security")
-    crew.hire(
+    crew.start(
         "asked",
         "timeit",
         ["-n1", "-r1", f"import os; os._exit(5 if {SECURITY_VARIABLE!r} in os.environ else 4)"],
@@ -118,13 +118,13 @@ def test_back_off_grows_to_a_limit():
 def test_leaving_ends_everybody_by_force_if_need_be(tmp_path):
     stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); time.sleep(600)"
     with ProcessGroup(tmp_path) as crew:
-        crew.hire("stubborn", "timeit", ["-n1", "-r1", stubborn])
+        crew.start("stubborn", "timeit", ["-n1", "-r1", stubborn])
         process = crew.process("stubborn")
     assert process.poll() is not None
 
 
 def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(crew):
-    crew.hire(
+    crew.start(
         "talker",
         "timeit",
         [
@@ -134,7 +134,7 @@ def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(crew):
         ],
     )
     crew.process("talker").wait(PATIENCE)
-    assert crew.last_words("talker") == "at: last"
+    assert crew.last_error("talker") == "at: last"
 
 
 ORPHAN = """
@@ -164,7 +164,7 @@ def test_a_supervised_process_ends_when_its_starter_is_gone():
 
 def test_who_is_bidden_to_leave_has_the_grace_from_then_on(tmp_path):
     with ProcessGroup(tmp_path, grace=600) as crew:
-        crew.hire("polite", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
-        crew.bid_leave()
+        crew.start("polite", "timeit", ["-n1", "-r1", "import time; time.sleep(600)"])
+        crew.request_stop()
         crew.process("polite").wait(PATIENCE)
     assert crew.process("polite").returncode == -signal.SIGTERM

@@ -173,7 +173,7 @@ def test_a_router_needs_its_access_list(tmp_path: Path) -> None:
 
 @pytest.fixture
 def nobody() -> Iterator[None]:
-    """Whoever runs the tests, without the rights of root."""
+    """Run as the user of the tests, without the rights of root."""
     user = os.geteuid()
     if user == 0:
         os.seteuid(NOBODY)

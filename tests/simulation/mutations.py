@@ -32,7 +32,7 @@ from qdgrasp_coordinator.scheduler.worker_registry import (
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
-from qdgrasp_worker.runtime.job_registry import JobSession, JoinState
+from qdgrasp_worker.runtime.job_registry import JobSession
 
 MOST = 120
 """A mutation is to be noticed within so many histories."""
@@ -69,21 +69,21 @@ def value(owner: type, name: str, get: Callable[[Any], Any]) -> Patch:
     return patch.object(owner, name, property(get))
 
 
-# Dispatch and desk.
+# Dispatch and the sessions of workers.
 
 
-def _accept_any_join(desk: JobSession, work: Any) -> bool:
-    if work.epoch != desk.epoch:
+def _accept_any_join(session: JobSession, work: Any) -> bool:
+    if work.epoch != session.epoch:
         return False
-    desk._held[work.batch] = work
+    session._held[work.batch] = work
     return True
 
 
-def _keep_held(joined: Any) -> Any:
-    def kept(desk: JobSession, answer: Any) -> bool:
-        held = dict(desk._held)
-        is_current: bool = joined(desk, answer)
-        desk._held.update(held)
+def _keep_held(on_answer: Any) -> Any:
+    def kept(session: JobSession, *answer: Any) -> bool:
+        held = dict(session._held)
+        is_current: bool = on_answer(session, *answer)
+        session._held.update(held)
         return is_current
 
     return kept
@@ -408,13 +408,13 @@ MUTATIONS = [
         lambda: [patch.object(JobScheduler, "_take_token", lambda *_: None)],
     ),
     Mutation(
-        "keep work of an older epoch", "3", ("fenced",), lambda: [method(JobSession, "joined", _keep_held)]
+        "keep work of an older epoch", "3", ("fenced",), lambda: [method(JobSession, "on_answer", _keep_held)]
     ),
     Mutation(
         "ask once to join",
         "2",
         ("progress",),
-        lambda: [patch.object(JoinState, "join_later", lambda *_: None)],
+        lambda: [patch.object(JobSession, "join_later", lambda *_: None)],
     ),
 ]
 

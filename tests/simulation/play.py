@@ -147,8 +147,9 @@ SMALL = [
     (recorder_client, "MOST_UNCONFIRMED", 8),
     (recorder_client, "REPLAY_ROWS", 7),
     (dispatcher, "MOST_SETTLED", 30),
+    (run_writer, "GROUP_ROWS", 6),
+    (run_writer, "MOST_WAITING", 150),
 ]
-SMALL += [(run_writer, "GROUP_ROWS", 6), (run_writer, "MOST_WAITING", 150)]
 """Bounds that small histories reach."""
 
 

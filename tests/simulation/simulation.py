@@ -482,25 +482,25 @@ class SimulationChecker:
             require(set(reports._due) <= set(self._stage.plans), "bounded memory", "reports")
 
     def _look_at_worker(self, worker: Worker) -> None:
-        desk = worker.desk
-        if desk is None:
+        session = worker.session_of_job
+        if session is None:
             return
-        self._look_at_fence(worker, desk)
-        held = len(desk.held)
+        self._look_at_fence(worker, session)
+        held = len(session.held)
         if held > CREDIT and not self._stage.is_lossy:
             unknown = sum(watch.taken_back[worker.wid] for watch in self._turns.values())
             require(held <= CREDIT + unknown, "bounded work", worker.name, f"holds {held}")
-        known = {task.work.batch for task in worker.workshop.tasks} | set(desk.held)
-        require(desk._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")
+        known = {task.work.batch for task in worker.supervisor.tasks} | set(session.held)
+        require(session._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")
 
-    def _look_at_fence(self, worker: Worker, desk: JobSession) -> None:
+    def _look_at_fence(self, worker: Worker, session: JobSession) -> None:
         number, listed = self._listed.get(worker.wid, (0, set()))
-        if number != desk.number:
-            number, listed = self._listed[worker.wid] = (desk.number, set(desk.held))
-        for batch, work in desk._held.items():
+        if number != session.number:
+            number, listed = self._listed[worker.wid] = (session.number, set(session.held))
+        for batch, work in session._held.items():
             is_fenced = work.join == number or batch in listed
             require(is_fenced, "fenced", worker.name, "holds work of join", work.join, "of", number)
-            require(work.epoch == desk.epoch, "fenced", worker.name, "holds work of epoch", work.epoch)
+            require(work.epoch == session.epoch, "fenced", worker.name, "holds work of epoch", work.epoch)
 
     def _look_at_progress(self) -> None:
         stage, now = self._stage, self._stage.world.now

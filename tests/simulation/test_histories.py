@@ -27,7 +27,7 @@ from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.messages import Joined
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
-from qdgrasp_worker.runtime.job_registry import RETRY_FIRST, JoinState
+from qdgrasp_worker.runtime.job_registry import RETRY_FIRST, JobSession
 
 
 def leased(dispatch: Dispatcher) -> bytes:
@@ -59,26 +59,26 @@ def test_a_worker_whose_token_never_comes_is_forgotten() -> None:
 
 
 def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_is_gone() -> None:
-    appointment = JoinState("job")
-    appointment.meet(1, True, 0.0)
-    appointment.meet(2, True, 1.0)
-    appointment.ask(2)
-    appointment.answered(Joined(epoch=1, drop=[]), 1.5, 1.0)
-    assert not appointment.is_due(2.0)
-    appointment.meet(1, False, 2.0)
-    assert appointment.is_due(2.0)
+    session = JobSession("job")
+    session.on_coordinator(1, True, 0.0)
+    session.on_coordinator(2, True, 1.0)
+    session.ask(2)
+    session.on_answer(Joined(epoch=1, drop=[]), 1.5, 1.0)
+    assert not session.is_due(2.0)
+    session.on_coordinator(1, False, 2.0)
+    assert session.is_due(2.0)
 
 
 def test_a_worker_whose_question_an_older_coordinator_answers_asks_again() -> None:
     """The one that it serves knows of the join before only; what it leases would be passed over for ever."""
-    appointment = JoinState("job")
-    appointment.meet(8, True, 0.0)
-    appointment.ask(2)
-    appointment.answered(Joined(epoch=8, drop=[]), 1.0, 1.0)
-    appointment.join_soon(2.0)
-    appointment.ask(2)
-    assert not appointment.answered(Joined(epoch=7, drop=[]), 3.0, 1.0)
-    assert appointment.join_at == 3.0 + RETRY_FIRST
+    session = JobSession("job")
+    session.on_coordinator(8, True, 0.0)
+    session.ask(2)
+    session.on_answer(Joined(epoch=8, drop=[]), 1.0, 1.0)
+    session.join_soon(2.0)
+    session.ask(2)
+    assert not session.on_answer(Joined(epoch=7, drop=[]), 3.0, 1.0)
+    assert session.join_at == 3.0 + RETRY_FIRST
 
 
 QUIET = History(

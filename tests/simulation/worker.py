@@ -28,17 +28,19 @@ from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
 from qdgrasp_worker.runtime.background_requests import (
     JOIN_SECONDS,
-    CoordinatorSeen,
-    Event,
     JoinAnswered,
-    LinkChanged,
     SceneAnswered,
     SceneStore,
-    StopRequested,
 )
 from qdgrasp_worker.runtime.job_registry import JobSession
 from qdgrasp_worker.runtime.process_limits import STALL_SIGNAL, ProcessStats
-from qdgrasp_worker.runtime.service import WorkerService
+from qdgrasp_worker.runtime.service import (
+    CoordinatorSeen,
+    Event,
+    LinkChanged,
+    StopRequested,
+    WorkerService,
+)
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
     EvaluateRows,
@@ -121,17 +123,17 @@ class Formula:
         self._later(START, lambda: self._say(SimulatorReady(platform=PLATFORM)))
 
     @property
-    def vitals(self) -> ProcessStats:
+    def stats(self) -> ProcessStats:
         """What it has taken of the processor and the memory."""
         return ProcessStats(float(self._steps), 0)
 
-    def say(self, frame: SimulatorMessage) -> None:
+    def send(self, message: SimulatorMessage) -> None:
         """Take a batch."""
-        assert isinstance(frame, EvaluateRows)
-        self._queue.append(frame)
+        assert isinstance(message, EvaluateRows)
+        self._queue.append(message)
         self._begin()
 
-    def stop(self) -> None:
+    def end_stalled(self) -> None:
         """Be ended for having said nothing."""
         self._die(-STALL_SIGNAL)
 
@@ -291,14 +293,13 @@ class Worker(Process):
         self._speed = speed
         self._stop = Stop()
         super().__init__(world, network, f"worker {int(wid, 16)}")
-        self.workshop = SimulatorSupervisor(self._hire, row_seconds=60.0, memory=1 << 30)
+        self.supervisor = SimulatorSupervisor(self._start_simulator, row_seconds=60.0, memory=1 << 30)
         self.service = self._new_service()
 
     @property
-    def desk(self) -> JobSession | None:
+    def session_of_job(self) -> JobSession | None:
         """What it holds of the job; None while it knows of none."""
-        appointment = self.service._jobs.get(JOB)
-        return appointment.desk if appointment else None
+        return self.service._jobs.get(JOB)
 
     def leave(self) -> None:
         """Be asked to leave, by SIGTERM."""
@@ -309,7 +310,7 @@ class Worker(Process):
     def lose_simulator(self) -> None:
         """Have the simulator killed, for its memory."""
         self.note("loses its simulator")
-        simulator = self.workshop._simulator
+        simulator = self.supervisor._simulator
         assert isinstance(simulator, Formula)
         simulator.be_killed()
 
@@ -318,14 +319,14 @@ class Worker(Process):
         for pattern in (KEYS.work(self.wid), KEYS.ctl(self.wid)):
             self.network.subscribe(self.session, pattern)
         self.network.watch(self.session, KEYS.coordinator_token())
-        while not self.service._leave.is_over(self.now):
-            patience = self.service._patience(self.now)
-            yield Listen(inf if patience is None else patience)
+        while not self.service._shutdown.is_over(self.now):
+            seconds = self.service._wait_seconds(self.now)
+            yield Listen(inf if seconds is None else seconds)
             for event in self.events():
                 self.service._take(_event(event), self.now)
-            self.service._act(self.now)
+            self.service._step(self.now)
 
-    def _hire(self) -> Formula:
+    def _start_simulator(self) -> Formula:
         return Formula(self, self._task, self._speed, self._mishaps, self.hear)
 
     def _new_service(self) -> WorkerService:
@@ -335,7 +336,7 @@ class Worker(Process):
             patch.object(serving.secrets, "token_hex", lambda _: self.wid),
         ):
             return WorkerService(
-                bus, self._stop, self.workshop, SimpleQueue(), bundles=SceneStore(None), job=JOB, grace=GRACE
+                bus, self._stop, self.supervisor, SimpleQueue(), store=SceneStore(None), job=JOB, grace=GRACE
             )  # type: ignore[arg-type]
 
 

@@ -19,7 +19,7 @@ def encoded(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float32]:
 def facing(
     scene: Scene, n: int, *, candidates: int, looseness: float = 0.0, seed: int = 0
 ) -> NDArray[np.float64]:
-    """Values (n, 15) of genomes that look at surface points from cells straight above them, any roll.
+    """Values (n, 15) of genomes that look at surface points from straight above, any roll.
 
     Their hands are a third into the stand-off, and their weights zero.
     """

@@ -1,4 +1,4 @@
-"""What C code prints stays off the console, what Python prints does not."""
+"""Output of C code stays off the console, output of Python does not."""
 
 import ctypes
 import os

@@ -1,4 +1,4 @@
-"""Whether an object has left the sweep of a hand for good."""
+"""The contact filter, and the box that an object leaves for good."""
 
 from itertools import product
 from types import SimpleNamespace
@@ -19,12 +19,11 @@ from qdgrasp_worker.contact_filter import (
     ContactFilter,
     SweptBox,
     coarseness,
-    frame_axes,
     interpolate_course,
 )
 from qdgrasp_worker.decoder import Decoder, HandPose
 from qdgrasp_worker.episode import Episode
-from qdgrasp_worker.hand_geometry import HandKinematics
+from qdgrasp_worker.hand_geometry import HandKinematics, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
 from qdgrasp_worker.protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.voxels import convex_hulls
@@ -51,9 +50,7 @@ def test_the_sweep_is_the_box_of_all_boxes_about_the_hand_with_the_objects_radiu
 @given(turns)
 def test_the_axes_of_a_quaternion_are_the_columns_of_its_matrix(turn):
     pose = pose_at((0, 0, 0), turn)
-    np.testing.assert_allclose(
-        np.array(frame_axes(pose.quaternion)).T, Rotation.from_quat(turn).as_matrix(), atol=1e-9
-    )
+    np.testing.assert_allclose(np.array(pose.axes).T, Rotation.from_quat(turn).as_matrix(), atol=1e-9)
 
 
 @given(triples, turns, triples, triples)
@@ -85,7 +82,7 @@ SIZES = [(0.3, 0.3, 0.3), (0.6, 0.6, 0.6), (1.5, 1.5, 1.5), (2.0, 2.0, 0.002), (
 
 
 def box(*size):
-    """What a cover takes of a solid that is a box."""
+    """The part of a solid that bounding balls use, for a box."""
     return SimpleNamespace(hulls=convex_hulls([np.array(list(product((-0.5, 0.5), repeat=3))) * size]))
 
 
@@ -150,7 +147,7 @@ def drawn_off(scene, n, seed):
 
 
 def judged(scene, n, seed):
-    """What the reach says of poses, and how they end in Bullet without it: (n,) each."""
+    """The filter's verdicts on poses, and their outcomes in Bullet without it: (n,) each."""
     world = World(scene)
     reach, episode = reach_of(scene, world), Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
     poses = list(drawn_off(scene, n, seed))
@@ -163,7 +160,7 @@ def judged(scene, n, seed):
 
 
 def fate(episode, pose):
-    """How a pose ends; a contact with the palm counts as a touch."""
+    """The outcome of a pose; a contact with the palm counts as a touch."""
     outcome = episode.run(TrialSetup(pose)).outcome
     return Outcome.BRUSHED if outcome == Outcome.MISSED and episode.world.contacts() else outcome
 
@@ -203,7 +200,7 @@ def test_all_that_passes_by_is_in_its_zones_wherever_free_joints_stand(hand, mak
     assert reach.is_known
     labels = range(len(scene.gripper.synergies)) if scene.gripper.synergies else [-1]
     for synergy in labels:
-        posture = reach._posture(random.random())
+        posture = free_posture(reach._gripper, random.random())
         frames = skeleton.frames(np.array(world.closing(posture, synergy))[::7])
         reach._zones[synergy] = reach._measure(synergy)
         pose = HandPose([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], posture, synergy)
@@ -219,7 +216,7 @@ def test_all_that_passes_by_is_in_its_zones_wherever_free_joints_stand(hand, mak
 
 def away(zone, frame, points):
     turn = frame[:3, :3].T
-    return zone.at(
+    return zone.lower_bounds(
         points.astype(np.float32), turn.astype(np.float32), (-turn @ frame[:3, 3]).astype(np.float32)
     )
 

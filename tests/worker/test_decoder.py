@@ -1,4 +1,4 @@
-"""What genomes mean: laws of the cone, of postures, and of rounding, for every prior."""
+"""Laws of decoding: the cone, postures, and rounding, for every prior."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from qdgrasp_worker.priors import PRIORS
 
 CONES = ("approach", "contact")
 ROUNDING = 2e-7
-"""What float32 does to a length of half a metre and to a unit vector."""
+"""Effect of float32 on a length of half a metre and on a unit vector."""
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
 
@@ -42,7 +42,7 @@ class TestEveryPrior:
     def test_gives_rounded_poses_and_postures_one_for_each_genome(self, prior, cube, genomes):
         grasps = decoder_of(cube, prior)(genomes)
         assert len(grasps) == len(genomes) == 200
-        np.testing.assert_array_equal(grasps.rows, np.arange(200))
+        np.testing.assert_array_equal(grasps.genome_of, np.arange(200))
         for name, width in {"positions": 3, "quaternions": 4, "joints": 2, "surface_points": 3}.items():
             column = getattr(grasps, name)
             assert column.dtype == np.float32

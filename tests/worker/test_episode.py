@@ -57,7 +57,7 @@ class WrittenWorld:
     def has_lost_object(self, pose):
         return self.steps >= self.left_at
 
-    def fingers(self):
+    def finger_positions(self):
         return [0.01, 0.02]
 
 

@@ -1,4 +1,4 @@
-"""Where rays leave a mesh, against what trimesh says and what can be said without it."""
+"""Exits of rays from a mesh, against those of trimesh and against geometry."""
 
 import numpy as np
 import pytest

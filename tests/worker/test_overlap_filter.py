@@ -31,7 +31,7 @@ def tools(scene, prior, n, seed):
 
 
 def compare(scene, prior, n, seed):
-    """Which of n random poses Bullet rejects, and which the filter rejects: (n,) each."""
+    """The random poses that Bullet rejects, and that the filter rejects: (n,) each."""
     grasps, overlap, episode = tools(scene, prior, n, seed)
     rejected = np.isin(np.arange(n), overlap(grasps, np.arange(n)))
     overlapping = np.array([episode.overlaps(TrialSetup(grasps[i])) for i in range(n)])

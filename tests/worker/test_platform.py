@@ -1,4 +1,4 @@
-"""What a worker says of the platform that its results come from."""
+"""The platform that a worker's results come from."""
 
 from dataclasses import replace
 

@@ -18,7 +18,7 @@ from qdgrasp_worker.protocols import MIXTURE, PAPER, PROTOCOLS, ROBUST, TrialSet
 POSES = 60
 DRAWS = POSES * TRIALS
 SIGMA, UNLIKELY = 4.0, 1e-4
-"""Draws that deviate by so many standard errors, or are so unlikely, are not what they are to be."""
+"""Bounds of draws: a deviation in standard errors, and a probability."""
 POSE = HandPose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
 ELSEWHERE = """
 import json
@@ -55,7 +55,7 @@ def stack(poses: list[HandPose]):
 
 @pytest.fixture(scope="module")
 def objects(drawn):
-    """Where the objects lie, by the poses as commanded and as the objects have them."""
+    """The places of the objects, by the poses as commanded and as the objects have them."""
     commanded, commanded_turns = stack([pose for pose, _ in drawn])
     seen, seen_turns = stack([trial.pose for _, trial in drawn])
     turns = commanded_turns * seen_turns.inv()

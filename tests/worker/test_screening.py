@@ -11,7 +11,7 @@ from qdgrasp_worker.screening import candidate_scores
 
 N = 40
 POSE = ("outcome", "fitness", "base_to_object", "joints", "contacts", "penetration")
-"""What a row says of a pose, whatever the prior."""
+"""Columns of a row that describe a pose, whatever the prior."""
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +50,9 @@ def candidates(evaluator, genomes):
     """The poses (m, 7) of all candidates, the genome of each, and their features."""
     grasps = evaluator._decoder("aimed")(genomes)
     (places,) = np.nonzero(~grasps.dead_ends)
-    features = evaluator._screen._ranking.features(grasps, places)
+    features = evaluator._candidate_screen._ranking.features(grasps, places)
     poses = np.concatenate([grasps.positions[places], grasps.quaternions[places]], axis=1)
-    return poses, grasps.rows[places], features, grasps.weights
+    return poses, grasps.genome_of[places], features, grasps.weights
 
 
 def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulated(

@@ -1,4 +1,4 @@
-"""What a worker's process loads before its first result: what it does not need would come on top of it."""
+"""Modules that a worker's process loads before its first result, each at a cost of time."""
 
 import json
 import subprocess
@@ -11,10 +11,10 @@ SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.runtime.service, qdgrasp_prot
 EVALUATE = (
     "import qdgrasp_worker.runtime.simulator_main; from qdgrasp_worker.platform import platform; platform()"
 )
-"""All that comes before a worker asks to join: its simulator's imports, and the probes in their scene."""
+"""All that comes before a worker asks to join: its simulator's imports, and the probes."""
 SIMULATION = {"pybullet", "numpy", "scipy"}
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "PIL", "ribs", "sklearn", "trimesh"}
-"""What others need: meshes, pictures and searches; each takes a tenth of a second, some a whole one."""
+"""Modules of others: meshes, pictures, searches; each takes a tenth of a second or more."""
 
 
 def loaded(statements: str) -> set[str]:

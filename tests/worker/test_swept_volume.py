@@ -1,4 +1,4 @@
-"""The swath of a closing hand, and how much of an object is in it."""
+"""The swept volume of a closing hand, and how much of an object is in it."""
 
 from functools import partial
 
@@ -23,7 +23,7 @@ def scene(request, make_scene):
 
 
 @pytest.fixture(scope="module")
-def swaths(scene):
+def volumes(scene):
     world = World(scene)
     yield SweptVolumes(scene.gripper, world.closing)
     world.close()
@@ -41,9 +41,9 @@ def around(scene):
     return grasp + np.random.default_rng(0).uniform(-0.05, 0.05, (4000, 3))
 
 
-def shares(swaths, grasps, points):
+def shares(volumes, grasps, points):
     """The shares (n, 2) of each of the grasps."""
-    return swaths.shares(points.astype(np.float32), grasps, np.arange(len(grasps)))
+    return volumes.shares(points.astype(np.float32), grasps, np.arange(len(grasps)))
 
 
 def seen(grasps, i, points):
@@ -53,41 +53,41 @@ def seen(grasps, i, points):
 
 
 def test_what_is_in_it_is_more_than_what_is_so_from_opposite_sides_and_nothing_is_far_away(
-    swaths, grasps, scene
+    volumes, grasps, scene
 ):
-    found = shares(swaths, grasps, scene.surface_points)
+    found = shares(volumes, grasps, scene.surface_points)
     assert (found[:, 1] <= found[:, 0]).all()
     assert (found[:, 1] > 0).any()
     assert (found[:, 0] > 0).mean() > 0.3
     assert found.max() <= 1.0
-    assert not shares(swaths, grasps, scene.surface_points + 3.0).any()
+    assert not shares(volumes, grasps, scene.surface_points + 3.0).any()
 
 
-def test_what_is_in_it_moves_with_the_hand(swaths, grasps, around):
-    """Points that stand alike before every hand are alike in its swath, where hands close alike."""
+def test_what_is_in_it_moves_with_the_hand(volumes, grasps, around):
+    """Points that stand alike before every hand are alike in its volume, if hands close alike."""
     alike = np.flatnonzero(grasps.synergies == grasps.synergies[0])
     alike = alike[(np.abs(grasps.joints[alike] - grasps.joints[0]) < 1e-6).all(axis=1)][:8]
     found = [
-        swaths.shares(seen(grasps, i, around).astype(np.float32), grasps, np.array([i]))[0] for i in alike
+        volumes.shares(seen(grasps, i, around).astype(np.float32), grasps, np.array([i]))[0] for i in alike
     ]
     assert found[0][0] > 5 / len(around)
     np.testing.assert_allclose(found, np.tile(found[0], (len(found), 1)), atol=2 / len(around))
 
 
-def test_a_share_does_not_depend_on_the_batch(swaths, grasps, scene):
-    together = shares(swaths, grasps, scene.surface_points)
+def test_a_share_does_not_depend_on_the_batch(volumes, grasps, scene):
+    together = shares(volumes, grasps, scene.surface_points)
     points = scene.surface_points.astype(np.float32)
     for i in range(0, len(grasps), 7):
-        np.testing.assert_array_equal(swaths.shares(points, grasps, np.array([i]))[0], together[i])
+        np.testing.assert_array_equal(volumes.shares(points, grasps, np.array([i]))[0], together[i])
 
 
-def test_it_is_measured_once_for_each_way_of_closing(swaths, grasps, scene, monkeypatch):
-    shares(swaths, grasps, scene.surface_points)
-    monkeypatch.setattr(swaths, "_closing", None)  # to call it would fail
-    shares(swaths, grasps, scene.surface_points)
+def test_it_is_measured_once_for_each_way_of_closing(volumes, grasps, scene, monkeypatch):
+    shares(volumes, grasps, scene.surface_points)
+    monkeypatch.setattr(volumes, "_closing", None)  # to call it would fail
+    shares(volumes, grasps, scene.surface_points)
     synergies, places = len(scene.gripper.synergies) or 1, 5 ** len(scene.gripper.free_joints)
-    assert 1 <= len(swaths._found) <= synergies * places
-    assert sum(swath.voxels.levels.nbytes for swath in swaths._found.values()) < 50e6
+    assert 1 <= len(volumes._found) <= synergies * places
+    assert sum(volume.voxels.levels.nbytes for volume in volumes._found.values()) < 50e6
 
 
 def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_palm(make_scene):

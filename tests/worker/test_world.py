@@ -38,7 +38,7 @@ def close_hand(world, synergy=NO_SYNERGY):
 
 
 def shaken(world, shake):
-    """Where the shaken joint is after every 17 steps."""
+    """The place of the shaken joint after every 17 steps."""
     index, _ = world._shaken[shake.joint]
     places = []
     for target in shake.targets:
@@ -77,9 +77,9 @@ def test_an_object_that_nothing_reaches_keeps_its_place_to_the_bit(world):
 
 def test_fingers_that_meet_nothing_close(world):
     world.reset(FAR, world.opened)
-    assert world.fingers() == [0.04, 0.04]
+    assert world.finger_positions() == [0.04, 0.04]
     close_hand(world)
-    np.testing.assert_allclose(world.fingers(), 0.0, atol=1e-4)
+    np.testing.assert_allclose(world.finger_positions(), 0.0, atol=1e-4)
 
 
 def test_the_course_of_a_closing_hand_is_the_same_whatever_was_before(world):
@@ -99,7 +99,7 @@ def test_a_synergy_closes_its_own_joints_and_the_others_stay_open(cube):
     for synergy, expected in ((0, [0.0, 0.04]), (1, [0.04, 0.0]), (NO_SYNERGY, [0.0, 0.0])):
         world.reset(FAR, world.opened)
         close_hand(world, synergy)
-        np.testing.assert_allclose(world.fingers(), expected, atol=1e-4)
+        np.testing.assert_allclose(world.finger_positions(), expected, atol=1e-4)
     world.close()
 
 
@@ -108,7 +108,7 @@ def test_a_joint_that_nothing_drives_stays_where_it_was_put(cube):
     world = World(with_gripper(cube, joints=joints))
     world.reset(FAR, [0.04, 0.013])
     close_hand(world)
-    np.testing.assert_allclose(world.fingers(), [0.0, 0.013], atol=1e-4)
+    np.testing.assert_allclose(world.finger_positions(), [0.0, 0.013], atol=1e-4)
     world.close()
 
 
@@ -124,7 +124,7 @@ def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
         world.reset(touching, touching.joints)
         close_hand(world)
         bullet, body = world._bullet, world._target.body
-        return world.contacts(), world.fingers(), bullet.position(body), bullet.velocity(body)
+        return world.contacts(), world.finger_positions(), bullet.position(body), bullet.velocity(body)
 
     first = trace()
     assert first[0], "the pose was to touch the object"

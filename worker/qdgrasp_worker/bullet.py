@@ -58,7 +58,7 @@ BASE = -1  # The index of a body's root link
 
 @dataclass(frozen=True)
 class Motor:
-    """How a joint is driven to a position."""
+    """Gains and limits with which a joint is driven to a position."""
 
     force: float
     """The most it may push [N or Nm]."""
@@ -109,10 +109,7 @@ class Bullet:
     def load(self, urdf: Path, *, fixed: bool) -> int:
         """Load a URDF without its visual shapes; its inertias are those of the collision shapes.
 
-        Raises
-        ------
-        AssetError
-            Bullet cannot read it, or a mesh that it names.
+        An AssetError if Bullet cannot read it, or a mesh that it names.
         """
         flags = pb.URDF_IGNORE_VISUAL_SHAPES
         try:
@@ -211,7 +208,7 @@ class Bullet:
         pb.stepSimulation(physicsClientId=self._client)
 
     def touching(self, body: int, other: int) -> bool:
-        """Whether there is any contact between two bodies."""
+        """Return whether there is any contact between two bodies."""
         return bool(pb.getContactPoints(body, other, physicsClientId=self._client))
 
     def contacts(self, body: int, other: int) -> list[Contact]:

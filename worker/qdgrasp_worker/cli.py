@@ -4,7 +4,7 @@ import json
 import os
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Annotated
+from typing import Annotated, Any
 
 import structlog
 import typer
@@ -81,20 +81,19 @@ def worker(
 
             WorkerPool(workers, worker_arguments(context), grace=grace, wait=wait, is_pinned=pin).run(stop)
             raise typer.Exit(stop.exit_code)
-        from qdgrasp_worker.runtime.background_requests import Inbox
         from qdgrasp_worker.runtime.simulator_supervisor import SimulatorSupervisor, simulator_command
 
         credentials = Credentials.find(security, Role.WORKER)
-        inbox: Inbox = SimpleQueue()
-        simulator = simulator_command(evaluator)
-        with SimulatorSupervisor.open(inbox.put, row_seconds, memory * MEGABYTE, nice, simulator) as workshop:
+        inbox: SimpleQueue[Any] = SimpleQueue()
+        command = simulator_command(evaluator)
+        with SimulatorSupervisor.open(inbox.put, row_seconds, memory * MEGABYTE, nice, command) as simulator:
             from qdgrasp_protocol.zenoh_bus import ZenohBus  # the first simulator starts meanwhile
             from qdgrasp_worker.runtime.background_requests import SceneStore
             from qdgrasp_worker.runtime.service import WorkerService
 
-            bundles = SceneStore(cache or cache_folder() / "scenes")
+            store = SceneStore(cache or cache_folder() / "scenes")
             with ZenohBus.connect(connect, wait, stop, credentials) as bus:
-                WorkerService(bus, stop, workshop, inbox, bundles=bundles, job=job, grace=grace).run()
+                WorkerService(bus, stop, simulator, inbox, store=store, job=job, grace=grace).run()
         log.info("stopped")
     raise typer.Exit(stop.exit_code)
 

@@ -23,7 +23,7 @@ It errs on one side only:
 through. Of an object with more surface than hands grasp the balls are larger, so that they stay as many.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import sqrt
@@ -38,9 +38,8 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.bullet import Box, Vector
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.hand_geometry import FreeJointLinks, HandKinematics
+from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, HandKinematics, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
-from qdgrasp_worker.overlap_filter import triangle_areas
 from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid
 
 SWEPT_MARGIN = 0.02  # What contacts may bend the hand, and how far Bullet sees them ahead, together [m]
@@ -48,7 +47,7 @@ SWEPT_MARGIN = 0.02  # What contacts may bend the hand, and how far Bullet sees 
 
 @dataclass(frozen=True)
 class SweptBox:
-    """A box around everything that an object's centre must be near to be touched, hand frame [m]."""
+    """Box around every place [m], hand frame, in which the object's centre can be touched."""
 
     low: Vector
     high: Vector
@@ -67,27 +66,17 @@ class SweptBox:
         return cls(low, high)
 
     def is_left(self, pose: HandPose, position: Vector, velocity: Vector) -> bool:
-        """Whether an object at `position` with `velocity` is outside for good, for a hand at `pose`.
+        """Return whether an object at this place and velocity is outside for good, hand at `pose`.
 
         Nothing pulls a free object back: beyond a face of the box, and not on its way through it, the
         hand touches it no more.
         """
         offset = [a - b for a, b in zip(position, pose.position, strict=True)]
-        for axis, low, high in zip(frame_axes(pose.quaternion), self.low, self.high, strict=True):
+        for axis, low, high in zip(pose.axes, self.low, self.high, strict=True):
             place, speed = scalar_product(axis, offset), scalar_product(axis, velocity)
             if (place > high and speed >= 0.0) or (place < low and speed <= 0.0):
                 return True
         return False
-
-
-def frame_axes(quaternion: list[float]) -> tuple[Vector, Vector, Vector]:
-    """The axes of a frame that is turned by a unit quaternion."""
-    x, y, z, w = quaternion
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
 
 
 def scalar_product(a: Vector, b: Vector | list[float]) -> float:
@@ -108,14 +97,14 @@ UNIT_BOX_CORNERS = np.array(list(product((0.0, 1.0), repeat=3)))
 
 @dataclass(frozen=True)
 class DistanceField:
-    """What shapes pass through, in the frame of a link."""
+    """Lower bounds of the distance to the volume that shapes pass through, in a link's frame."""
 
     distances: VoxelGrid
     """In units of `UNIT`, rounded down; beyond the box its rim stands for what is outside."""
 
     @classmethod
     def of(cls, courses: Iterable[tuple[Hull, Floats]]) -> Self:
-        """The zone of hulls, each on its course of frames (n, 4, 4) that follow closely on each other."""
+        """The field of hulls, each on its course of frames (n, 4, 4) that follow each other closely."""
         paths = [(simplified_hull(hull), course, corner_path(hull, course)) for hull, course in courses]
         low = np.min([corners.min(axis=(0, 1)) for *_, corners in paths], axis=0)
         high = np.max([corners.max(axis=(0, 1)) for *_, corners in paths], axis=0)
@@ -126,25 +115,26 @@ class DistanceField:
         for hull, course, corners in paths:
             for look, moved in path_samples(corners):
                 voxels.mark(hull.moved(course[look]).grown(moved + round_excess(hull) + diagonal / 2), 1)
+        # Distances are of voxels' middles: a point and what is marked may each be half a diagonal nearer.
         away = distance_transform_edt(voxels.levels == 0) * pitch - diagonal
         voxels.levels = np.clip(away / DISTANCE_UNIT, 0, 255).astype(np.uint8)
         return cls(voxels)
 
-    def at(self, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
-        """How far away points (n, 3) are at least, turned by (3, 3) and moved by (3,): (n,)."""
+    def lower_bounds(self, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
+        """Lower bounds (n,) of the distances of points (n, 3), turned by (3, 3) and moved by (3,)."""
         x, y, z = (points @ turn.T + move).T
         return self.distances.at(x, y, z).astype(np.uint8, copy=False)
 
 
 def corner_path(hull: Hull, course: Floats) -> Floats:
-    """Where the corners of a hull's box are on its course: (n, 8, 3) [m]."""
+    """The corners (n, 8, 3) [m] of a hull's box along its course."""
     corners = hull.low + UNIT_BOX_CORNERS * (hull.high - hull.low)
     places: Floats = corners @ np.moveaxis(course[:, :3, :3], 1, 2) + course[:, None, :3, 3]
     return places
 
 
 def path_samples(corners: Floats) -> list[tuple[int, float]]:
-    """Frames of a path (n, 8, 3), and how far from them points are in the frames that they stand for [m]."""
+    """Frames of a path (n, 8, 3), and the distance [m] of points in frames that each stands for."""
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=2).max(axis=1)
     ways = np.concatenate([[0.0], np.cumsum(steps)])
     _, first = np.unique(np.floor(ways / STRIDE), return_index=True)
@@ -163,7 +153,7 @@ def simplified_hull(hull: Hull) -> Hull:
 
 
 def round_excess(hull: Hull) -> float:
-    """How far a round shape may reach beyond the hull of its corners [m]."""
+    """Distance [m] by which a round shape may reach beyond the hull of its corners."""
     return float(ROUND_EXCESS * np.sort(hull.high - hull.low)[1] / 2)
 
 
@@ -185,7 +175,7 @@ class Balls:
 
 @dataclass(frozen=True)
 class BoundingBalls:
-    """All of the surface is in the small balls, and all of each small ball in one of the large ones."""
+    """Balls that hold the surface: all of it is in the small ones, each of these in a large one."""
 
     large: Balls
     small: Balls
@@ -203,13 +193,13 @@ class BoundingBalls:
 
 
 def coarseness(solid: ObjectSolid) -> float:
-    """How many times larger tiles and cells are than for a small object: 1 up to `FINE_SURFACE`."""
-    surface = sum(float(triangle_areas(hull).sum()) for hull in solid.hulls)
+    """Factor by which tiles and cells are larger than for a small object: 1 to `FINE_SURFACE`."""
+    surface = sum(float(hull.areas.sum()) for hull in solid.hulls)
     return max(1.0, sqrt(surface / FINE_SURFACE))
 
 
 def tile_balls(triangles: Floats, reach: float) -> Balls:
-    """Balls of `reach` [m] at most about the small triangles that triangles (t, 3, 3) are cut into."""
+    """Balls of `reach` [m] at most about the pieces that triangles (t, 3, 3) are cut into."""
     middles, reaches = [], []
     while len(triangles):
         centres = triangles.mean(axis=1)
@@ -251,14 +241,12 @@ BREAKING = 0.02  # Bullet's contact breaking threshold, in discs
 STRAY = 5e-4  # How far a closing finger may be from where it was watched, with the free joints elsewhere [m]
 POSTURES_PER_STEP = 8  # Postures from one step to the next
 FREE_JOINT_PLACES = (0.0, 1.0)  # Where on their ranges the free joints are while the hand is watched
-Closing = Callable[[Sequence[float], int], list[list[float]]]
-"""The courses of a closing hand's joints, by its initial posture and its synergy."""
 
 
 class NoContactFilter:
     """The reach of a hand of which nothing is known: it misses nowhere for sure."""
 
-    def watch(self, synergy: int) -> None:
+    def prepare(self, synergy: int) -> None:
         """Do nothing."""
 
     def misses(self, pose: HandPose) -> bool:
@@ -272,7 +260,7 @@ class ClearanceBalls:
 
     centres: Singles
     """(n, 3) [m]."""
-    far: NDArray[np.uint8]
+    min_distances: NDArray[np.uint8]
     """(n,): how far from a zone each must be, in its units."""
 
     @classmethod
@@ -281,33 +269,29 @@ class ClearanceBalls:
         far = np.ceil((balls.radii + sight) / DISTANCE_UNIT).clip(0, 255)
         return cls(balls.centres.astype(np.float32), far.astype(np.uint8))
 
-    def among(self, which: NDArray[np.bool_]) -> Self:
+    def select(self, which: NDArray[np.bool_]) -> Self:
         """Those of the balls."""
-        return replace(self, centres=self.centres[which], far=self.far[which])
+        return replace(self, centres=self.centres[which], min_distances=self.min_distances[which])
 
 
 NO_CONTACT_FILTER = NoContactFilter()
 
 
 class ContactFilter:
-    """What tells poses at which a scene's hand surely misses.
+    """Finds poses at which a scene's hand surely misses, without the simulator.
 
-    Parameters
-    ----------
-    closing
-        How the hand closes on nothing; asked when a synergy is first met.
-    follows_free_joints
-        Whether the test for overlap has the free joints where the grasp has them, or open.
+    `closing` closes the hand on nothing, when a synergy is first met. The test for overlap has the free
+    joints where the grasp has them (`follows_free_joints`), or open.
     """
 
     def __init__(
         self, gripper: SceneGripper, solid: ObjectSolid, closing: Closing, *, follows_free_joints: bool
     ) -> None:
         self._gripper = gripper
-        self._skeleton = HandKinematics(gripper)
-        self._mounts = FreeJointLinks(gripper, self._skeleton)
-        self.is_known = self._skeleton.is_whole and solid.is_whole and self._mounts.are_still
-        """Whether hand and object are understood; where they are not, it misses nowhere for sure."""
+        self._kinematics = HandKinematics(gripper)
+        self._mounts = FreeJointLinks(gripper, self._kinematics)
+        self.is_known = self._kinematics.is_understood and solid.is_whole and self._mounts.all_still
+        """True if all of hand and object is understood; if not, no pose surely misses."""
         self._closing = closing
         opened = [joint.opened for joint in gripper.joints]
         self._at_first = [] if follows_free_joints or not gripper.free_joints else [opened]
@@ -320,17 +304,17 @@ class ContactFilter:
             )
             self._counts = cover.counts
 
-    def watch(self, synergy: int) -> None:
+    def prepare(self, synergy: int) -> None:
         """Have the hand close on nothing where its zones with a synergy are not known yet."""
         if self.is_known and synergy not in self._zones:
             self._zones[synergy] = self._measure(synergy)
 
     def misses(self, pose: HandPose) -> bool:
-        """Whether the hand, while it closes at `pose`, surely never comes as near as a contact."""
+        """Return whether the hand, closing at `pose`, surely never comes as near as a contact."""
         if not self.is_known:
             return False
-        self.watch(pose.synergy)
-        turn = np.array(frame_axes(pose.quaternion))
+        self.prepare(pose.synergy)
+        turn = np.array(pose.axes)
         move = -turn @ np.array(pose.position)
         return all(
             self._is_clear(zone, frame[:3, :3].T @ turn, frame[:3, :3].T @ (move - frame[:3, 3]))
@@ -345,40 +329,30 @@ class ContactFilter:
                 yield zone, frames[link]
 
     def _is_clear(self, zone: DistanceField, turn: Floats, move: Floats) -> bool:
-        """Whether no ball is near a zone; where a large one is, its small ones are looked up.
+        """Return whether no ball is near a zone; where a large one is, its small ones are looked up.
 
         One that is in the midst of it is enough to give up.
         """
         frame = turn.astype(np.float32), move.astype(np.float32)
-        away = zone.at(self._large.centres, *frame)
-        is_near = away <= self._large.far
+        away = zone.lower_bounds(self._large.centres, *frame)
+        is_near = away <= self._large.min_distances
         if not is_near.any() or not away.all():
             return not is_near.any()
-        small = self._small.among(np.repeat(is_near, self._counts))
-        return bool((zone.at(small.centres, *frame) > small.far).all())
+        small = self._small.select(np.repeat(is_near, self._counts))
+        return bool((zone.lower_bounds(small.centres, *frame) > small.min_distances).all())
 
     def _measure(self, synergy: int) -> dict[str, DistanceField]:
         """Watch the hand close: the zone in the frame of each mount."""
         passing: dict[str, list[tuple[Hull, Floats]]] = {}
         for place in FREE_JOINT_PLACES[: 1 + bool(self._gripper.free_joints)]:
-            posture = self._posture(place)
-            frames = self._skeleton.frames(interpolate_course(np.array(self._closing(posture, synergy))))
+            posture = free_posture(self._gripper, place)
+            frames = self._kinematics.frames(interpolate_course(np.array(self._closing(posture, synergy))))
             mounts = self._mounts.frames(posture)
-            for link, hulls in self._skeleton.hulls.items():
-                under = self._mounts.under[link]
+            for link, hulls in self._kinematics.hulls.items():
+                under = self._mounts.mount_of[link]
                 course = np.linalg.inv(mounts[under]) @ frames[link]
                 passing.setdefault(under, []).extend((hull, course) for hull in hulls)
         return {link: DistanceField.of(courses) for link, courses in passing.items() if courses}
-
-    def _posture(self, share: float) -> list[float]:
-        """The open posture with the free joints at this share of their ranges."""
-        free = {joint.name: joint for joint in self._gripper.free_joints}
-        return [
-            free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
-            if joint.name in free
-            else joint.opened
-            for joint in self._gripper.joints
-        ]
 
 
 def interpolate_course(course: Floats) -> Floats:
@@ -389,7 +363,7 @@ def interpolate_course(course: Floats) -> Floats:
 
 
 def contact_range(solid: ObjectSolid) -> float:
-    """How far from an object's surface a contact may begin, and somewhat more [m]."""
+    """Distance from an object's surface [m] at which a contact may begin, and somewhat more."""
     low, high = solid.box
     disc = np.linalg.norm(high - low) / 2 + np.linalg.norm(high + low) / 2
     return float(2 * MARGIN + BREAKING * (disc + MARGIN) + STRAY)

@@ -27,6 +27,16 @@ class HandPose:
     joints: list[float]
     synergy: int
 
+    @property
+    def axes(self) -> tuple[tuple[float, float, float], ...]:
+        """The axes of its frame: unit vectors in the frame of its position."""
+        x, y, z, w = self.quaternion
+        return (
+            (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+            (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+            (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+        )
+
 
 @dataclass(frozen=True)
 class DecodedGrasps:
@@ -46,13 +56,13 @@ class DecodedGrasps:
     surface_points: NDArray[np.float32]
     """(n, 3) [m], CoM frame; zeros where the prior aims at none."""
     nu: NDArray[np.float32]
-    """(n,) [rad], between the normal there and the direction to the hand; 0 where there is none."""
+    """(n,) [rad], from the normal there to the direction to the hand; 0 without such a point."""
     dead_ends: NDArray[np.bool_]
     """(n,): which of them are no pose; zeros are in its place."""
-    rows: NDArray[np.intp]
+    genome_of: NDArray[np.intp]
     """(n,): the genome of the batch that each belongs to, ascending."""
     weights: NDArray[np.float64]
-    """(genomes, f): how a genome ranks its candidates by their features; f is 0 where there is no choice."""
+    """(genomes, f): weights of a genome's candidates by feature; f is 0 without a choice."""
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -74,14 +84,9 @@ class DecodedGrasps:
 
 
 class Decoder:
-    """What genomes of one prior mean in one scene.
+    """Decodes genomes of one prior in one scene.
 
-    Raises
-    ------
-    UnknownName
-        There is no such prior.
-    JawNeeded
-        The prior is for two-finger hands, and the scene's is none.
+    UnknownName if there is no such prior, JawNeeded if it is for two-finger hands and the scene's is another.
     """
 
     def __init__(self, scene: Scene, prior: str, surface: ObjectSurface) -> None:
@@ -97,9 +102,9 @@ class Decoder:
         self._own = len(self.layout) - len(self._free) - bool(self._hand.synergies)
 
     def __call__(self, genomes: NDArray[np.float32]) -> DecodedGrasps:
-        """The candidates for the grasps that genomes (n, d) stand for; NaN where a genome stands for none."""
+        """Decode genomes (n, d) to their candidate grasps; NaN where a genome stands for no pose."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            drawn = self._prior.drawn(self._prior.values(self.layout, genomes), genomes, self._surface)
+            drawn = self._prior.candidates(self._prior.values(self.layout, genomes), genomes, self._surface)
             values = drawn.genes
             poses = self._prior.poses(values[:, : self._own], self._surface, self._hand)
         return DecodedGrasps(
@@ -110,7 +115,7 @@ class Decoder:
             surface_points=poses.surface_points.astype(np.float32),
             nu=poses.nu.astype(np.float32),
             dead_ends=poses.dead_ends,
-            rows=drawn.rows,
+            genome_of=drawn.rows,
             weights=drawn.weights,
         )
 

@@ -15,15 +15,15 @@ OUTCOME_BY_SHAKES = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 
 
 class EpisodeResult(NamedTuple):
-    """What an episode found."""
+    """Result of an episode."""
 
     outcome: Outcome
     joints: list[float]
-    """Finger joints [rad or m] after closing where that was a success, else as they were at first."""
+    """Finger joints [rad or m] after closing if that was a success, else as they were at first."""
     contacts: int = 0
     """Finger links that touch the object after closing."""
     penetration: float = 0.0
-    """How deep the hand and the object are in each other after closing, 0 or positive [m]."""
+    """Deepest penetration of hand and object after closing, 0 or positive [m]."""
 
     @property
     def fitness(self) -> int:
@@ -33,28 +33,28 @@ class EpisodeResult(NamedTuple):
 
 @dataclass(frozen=True)
 class Episode:
-    """How poses fare in a world under a protocol."""
+    """Simulates poses in a world under a protocol."""
 
     world: World
     protocol: EvaluationProtocol
-    reach: ContactFilter | NoContactFilter = NO_CONTACT_FILTER
-    """What tells poses that need no closing; it changes no verdict."""
+    contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER
+    """Finds poses that need no closing; it changes no verdict."""
     stops_early: bool = True
-    """Whether closing ends when the object has left; it changes no verdict."""
+    """Closing ends when the object has left; it changes no verdict."""
 
     def run(self, trial: TrialSetup) -> EpisodeResult:
         """Evaluate one trial, from a clean start."""
         pose = trial.pose
-        self.reach.watch(pose.synergy)
+        self.contact_filter.prepare(pose.synergy)
         if self.overlaps(trial):
             return EpisodeResult(Outcome.OVERLAP, pose.joints)
-        if self.reach.misses(pose):
+        if self.contact_filter.misses(pose):
             return EpisodeResult(Outcome.MISSED, pose.joints)
         touched = self._close(pose)
         fingers = self._touching_fingers()
         if not fingers:
             return EpisodeResult(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
-        joints, depth = self.world.fingers(), self._penetration()
+        joints, depth = self.world.finger_positions(), self._penetration()
         return EpisodeResult(OUTCOME_BY_SHAKES[self._shakes_survived()], joints, len(fingers), depth)
 
     def overlaps(self, trial: TrialSetup) -> bool:
@@ -99,8 +99,8 @@ class Episode:
         """One shake; it ends with the first look that finds the object lost."""
         for target in shake.targets:
             self.world.shake_to(target, shake)
-            for _ in range(0, TARGET_STEPS, self.protocol.look_every):
-                for _ in range(self.protocol.look_every):
+            for _ in range(0, TARGET_STEPS, self.protocol.contact_check_steps):
+                for _ in range(self.protocol.contact_check_steps):
                     self.world.step()
                 if not self.world.is_touching():
                     return False

@@ -1,8 +1,9 @@
-"""Evaluators: a batch of genomes in, a batch of rows out. Decode, place, close, shake, report.
+"""Evaluators: a batch of genomes in, rows out. Decode, place, close, shake, report.
 
 A worker keeps one evaluator for each scene that it lately served.
 """
 
+from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,18 +29,18 @@ REASON_LENGTH = 200
 
 
 class GenomeResult(NamedTuple):
-    """What was found about a genome."""
+    """Result of a genome."""
 
-    place: int
+    pose_index: int
     """Its pose, in the batch of grasps."""
     verdict: EpisodeResult
     proposals: int
-    """How many poses were screened for it."""
+    """Number of poses that were screened for it."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a batch found."""
+    """Results of a batch."""
 
     rows: Rows
     """(n,): trial, genome and all result columns; result columns of failed rows hold zeros."""
@@ -47,7 +48,42 @@ class Evaluation:
     """The rows on which the simulator failed, by their place in the batch, with the reason."""
 
 
-class Evaluator:
+ROWS_AT_ONCE = 16  # Rows evaluated at once; evaluation is pure, so slicing changes nothing
+
+
+class BatchEvaluator(ABC):
+    """Evaluates batches of genomes in one scene; UnknownName if its protocol does not exist."""
+
+    at_once = ROWS_AT_ONCE
+    """The most rows that it is given at once."""
+
+    def __init__(self, scene: Scene) -> None:
+        if scene.protocol not in PROTOCOLS:
+            raise UnknownName("protocol", scene.protocol, PROTOCOLS)
+        self.scene = scene
+        self._protocol = PROTOCOLS[scene.protocol]
+        self._surface = ObjectSurface(scene)
+        self._decoders: dict[str, Decoder] = {}
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what it holds; closing twice is allowed."""
+
+    @abstractmethod
+    def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
+        """Evaluate genomes (n, d) of `prior`, each in its trial (n,); UnknownName for the prior."""
+
+    def shape(self, prior: str) -> RowShape:
+        """The widths of the rows of this scene with genomes of `prior`."""
+        return RowShape(len(layout(self.scene, prior)), len(self.scene.gripper.joints), descriptors(prior))
+
+    def _decoder(self, prior: str) -> Decoder:
+        if prior not in self._decoders:
+            self._decoders[prior] = Decoder(self.scene, prior, self._surface)
+        return self._decoders[prior]
+
+
+class Evaluator(BatchEvaluator):
     """One Bullet world for one scene; a context manager that leaves it.
 
     `shortcuts` says whether poses that surely overlap, or surely miss, are spared the simulator, and whether
@@ -61,34 +97,27 @@ class Evaluator:
     ------
     AssetError
         Bullet cannot load the scene.
-    UnknownName
-        There is no such evaluation protocol.
     """
 
     def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:
-        if scene.protocol not in PROTOCOLS:
-            raise UnknownName("protocol", scene.protocol, PROTOCOLS)
-        self.scene = scene
-        self._protocol = PROTOCOLS[scene.protocol]
-        self._surface = ObjectSurface(scene)
-        self._decoders: dict[str, Decoder] = {}
+        super().__init__(scene)
         self._world = World(scene)
         self._shortcuts = shortcuts
-        self._solid = ObjectSolid(scene)
+        self._object = ObjectSolid(scene)
         follows = self._protocol.free_joints_first
-        self._screen = CandidateScreen(
-            scene, self._solid, self._closing, follows_free_joints=follows, filters=shortcuts
+        self._candidate_screen = CandidateScreen(
+            scene, self._object, self._closing, follows_free_joints=follows, filters=shortcuts
         )
 
     @cached_property
-    def _reach(self) -> ContactFilter | NoContactFilter:
+    def _contact_filter(self) -> ContactFilter | NoContactFilter:
         if not self._shortcuts:
             return NO_CONTACT_FILTER
         follows = self._protocol.free_joints_first
-        return ContactFilter(self.scene.gripper, self._solid, self._closing, follows_free_joints=follows)
+        return ContactFilter(self.scene.gripper, self._object, self._closing, follows_free_joints=follows)
 
     def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """How the hand closes on nothing, in the world that there is."""
+        """Finger joints as the hand closes on nothing, in the present world."""
         return self._world.closing(posture, synergy)
 
     def __enter__(self) -> Self:
@@ -101,24 +130,14 @@ class Evaluator:
         """Leave Bullet; closing twice is allowed."""
         self._world.close()
 
-    def shape(self, prior: str) -> RowShape:
-        """How wide the rows of this scene are with genomes of `prior`."""
-        return RowShape(len(layout(self.scene, prior)), len(self.scene.gripper.joints), descriptors(prior))
-
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
-        """Evaluate genomes (n, d) of `prior`, each in its trial (n,).
-
-        Raises
-        ------
-        UnknownName
-            There is no such prior.
-        """
+        """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
         grasps = self._decoder(prior)(genomes)
         rows = self.shape(prior).empty(len(genomes))
         rows["genome"], rows["trial"] = genomes, trials
         refused = row_refusals(genomes, trials, grasps, self._protocol.trials)
         wanted = np.array([not reason for reason in refused], dtype=bool)
-        shortlists, features = self._screen(grasps, trials, wanted)
+        shortlists, features = self._candidate_screen(grasps, trials, wanted)
         found = [
             reason or self._find(grasps, shortlists[i], int(trials[i])) for i, reason in enumerate(refused)
         ]
@@ -127,13 +146,8 @@ class Evaluator:
         failures = [(i, reason[:REASON_LENGTH]) for i, reason in enumerate(found) if isinstance(reason, str)]
         return Evaluation(rows, failures)
 
-    def _decoder(self, prior: str) -> Decoder:
-        if prior not in self._decoders:
-            self._decoders[prior] = Decoder(self.scene, prior, self._surface)
-        return self._decoders[prior]
-
     def _find(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> GenomeResult | str:
-        """What an episode finds, or the reason why it failed; the next one starts in a new world then."""
+        """Return the result of a genome, or the reason of a failure, after which the world is new."""
         if not shortlist.poses:
             return GenomeResult(
                 shortlist.first, EpisodeResult(Outcome.DEAD_END, grasps[shortlist.first].joints), 1
@@ -147,11 +161,11 @@ class Evaluator:
         return GenomeResult(place, verdict, shortlist.poses)
 
     def _try(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> tuple[int, EpisodeResult]:
-        """The best candidate that is worth it and does not overlap, or the first; what an episode finds.
+        """Simulate candidates in order until one does not overlap; return its pose and result.
 
         It is chosen by trial 0, so that all trials of a genome disturb the same pose.
         """
-        episode = Episode(self._world, self._protocol, self._reach, stops_early=self._shortcuts)
+        episode = Episode(self._world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
         for place in shortlist.ranked:
             pose = grasps[place]
             if trial and shortlist.is_choice and episode.overlaps(TrialSetup(pose)):
@@ -159,15 +173,15 @@ class Evaluator:
             verdict = episode.run(self._protocol.trial(pose, trial))
             if trial or verdict.outcome is not Outcome.OVERLAP:
                 return place, verdict
-        return shortlist.first, EpisodeResult(shortlist.otherwise, grasps[shortlist.first].joints)
+        return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
 
 
 def row_refusals(
     genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: DecodedGrasps, last: int
 ) -> list[str]:
-    """For each row the reason why it cannot be evaluated; empty where it can. `last` is the last trial."""
+    """The reason why each row cannot be evaluated, empty where it can; `last` is the last trial."""
     finite = np.asarray(np.isfinite(genomes).all(axis=1))
-    np.logical_and.at(finite, grasps.rows, grasps.are_finite)
+    np.logical_and.at(finite, grasps.genome_of, grasps.are_finite)
     reasons = {
         "the genome stands for no pose: it holds, or leads to, numbers that are not finite": ~finite,
         f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}": trials > last,
@@ -185,7 +199,7 @@ def fill_rows(
     if not findings:
         return
     places, found = list(findings), [finding.verdict for finding in findings.values()]
-    taken = [finding.place for finding in findings.values()]
+    taken = [finding.pose_index for finding in findings.values()]
     is_simulated = np.array([[verdict.outcome.is_simulated] for verdict in found])
     positions = grasps.positions[taken]
     columns = {
@@ -215,7 +229,7 @@ class EvaluatorCache:
 
     def __init__(self, most: int = MAX_EVALUATORS) -> None:
         self._most = most
-        self._evaluators: OrderedDict[str, Evaluator] = OrderedDict()
+        self._evaluators: OrderedDict[str, BatchEvaluator] = OrderedDict()
 
     def __enter__(self) -> Self:
         return self
@@ -229,8 +243,8 @@ class EvaluatorCache:
     def __contains__(self, digest: str) -> bool:
         return digest in self._evaluators
 
-    def get(self, digest: str, load: Callable[[], Evaluator]) -> Evaluator:
-        """The evaluator of a scene, made by `load` where there is none yet."""
+    def get(self, digest: str, load: Callable[[], BatchEvaluator]) -> BatchEvaluator:
+        """Return the evaluator of a scene, made by `load` if it is not here yet."""
         if digest not in self._evaluators:
             self._make_room()
             self._evaluators[digest] = load()

@@ -1,10 +1,10 @@
-"""Geometry of the hand: frames of its links, their convex parts, and what its fingers are mounted on.
+"""Geometry of the hand: frames and convex parts of its links, and the mounts of its fingers.
 
 Fingers are mounted on links that stand still while they close: the root, and the links of free joints.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,9 @@ from qdgrasp_assets.grippers.collision_shapes import is_all_convex, link_convex_
 from qdgrasp_assets.grippers.urdf import UrdfJoint, parse_robot
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.voxels import Hull, convex_hulls
+
+Closing = Callable[[Sequence[float], int], list[list[float]]]
+"""Courses of a closing hand's joints, by its initial posture and its synergy."""
 
 
 class HandKinematics:
@@ -31,13 +34,13 @@ class HandKinematics:
             for link in self.robot.links
         }
         """The convex parts of each link, link frame."""
-        self.is_whole = is_all_convex(robot, gripper.meshes) and (
+        self.is_understood = is_all_convex(robot, gripper.meshes) and (
             sum(map(len, self.hulls.values())) == len(list(link_convex_parts(robot, gripper.meshes)))
         )
-        """Whether these are all collision shapes: none is unknown or flat, and none is the carrier's."""
+        """True if these are all collision shapes: all are convex, none flat, none the carrier's."""
 
     def frames(self, postures: Floats) -> dict[str, Floats]:
-        """Each link's frame (n, 4, 4) in the hand's, with the joints at `postures` (n, j) [rad or m]."""
+        """The frame (n, 4, 4) of each link in the hand's, joints at `postures` (n, j) [rad or m]."""
         frames = self.robot.forward(dict(zip(self._joints, postures.T, strict=True)))
         shape = (len(postures), 4, 4)
         return {link: np.broadcast_to(frame, shape) for link, frame in frames.items()}
@@ -52,6 +55,17 @@ class HandKinematics:
         ]
         points = np.concatenate([each.reshape(-1, 3) for each in [*corners, np.zeros((1, 3))]])
         return points.min(axis=0), points.max(axis=0)
+
+
+def free_posture(gripper: SceneGripper, share: float) -> list[float]:
+    """The open posture with the free joints at this share of their ranges, all at once."""
+    free = {joint.name: joint for joint in gripper.free_joints}
+    return [
+        free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
+        if joint.name in free
+        else joint.opened
+        for joint in gripper.joints
+    ]
 
 
 @dataclass(frozen=True)
@@ -69,27 +83,27 @@ class FreeJointLink:
 
 
 class FreeJointLinks:
-    """What the links of a scene's hand stand on."""
+    """The links of a scene's hand that its other links are mounted on."""
 
-    def __init__(self, gripper: SceneGripper, skeleton: HandKinematics) -> None:
+    def __init__(self, gripper: SceneGripper, kinematics: HandKinematics) -> None:
         self._root = gripper.base_link
         free = {joint.name for joint in gripper.free_joints}
         names = [joint.name for joint in gripper.joints]
         driven = {joint.name for joint in gripper.joints if joint.driven}
-        frames = skeleton.frames(np.zeros((1, len(names))))
+        frames = kinematics.frames(np.zeros((1, len(names))))
         self._mounts: list[FreeJointLink] = []
-        self.under = {self._root: self._root}
+        self.mount_of = {self._root: self._root}
         """The mount under each link."""
         still = {self._root}
-        self.are_still = not free & driven
-        """Whether all of them stand still: neither free joints nor joints below them are driven."""
-        for joint in skeleton.robot.joints_beyond(self._root):
-            below, is_free = self.under[joint.parent], joint.name in free
-            self.under[joint.child] = joint.child if is_free else below
+        self.all_still = not free & driven
+        """True if all of them stand still: no free joint or joint below one is driven."""
+        for joint in kinematics.robot.joints_beyond(self._root):
+            below, is_free = self.mount_of[joint.parent], joint.name in free
+            self.mount_of[joint.child] = joint.child if is_free else below
             if joint.parent in still and (is_free or joint.name not in names):
                 still.add(joint.child)
             if is_free:
-                self.are_still = self.are_still and joint.parent in still
+                self.all_still = self.all_still and joint.parent in still
                 frame = np.linalg.inv(frames[below][0]) @ frames[joint.parent][0] @ joint.origin
                 self._mounts.append(FreeJointLink(joint.child, below, frame, joint, names.index(joint.name)))
 

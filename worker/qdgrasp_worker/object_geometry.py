@@ -1,4 +1,4 @@
-"""Geometry of the object: its surface points as decoding sees them, and the solid that Bullet has.
+"""Geometry of the object: surface points as decoding uses them, and the solid of Bullet.
 
 The surface S_c is its points with their normals, the nearest, and the opposite ones. Those are found where
 rays leave the mesh, for every ray and triangle, in float64 (Möller and Trumbore 1997). Only products, sums
@@ -25,23 +25,19 @@ PAIRS_AT_ONCE = 1 << 17  # pairs of ray and triangle that are looked at at once:
 
 
 class RayExits(NamedTuple):
-    """Where rays leave a mesh for the last time."""
+    """Last points at which rays leave a mesh."""
 
     distances: Floats
     """(n,) [m]; NaN where a ray does not leave it within the length."""
     triangles: NDArray[np.intp]
-    """(n,): which triangle it leaves through; any where there is none."""
+    """(n,): the triangle it leaves through; any where the ray meets none."""
 
 
 def last_exits(origins: Floats, directions: Floats, corners: Floats, length: float) -> RayExits:
     """The last exits along rays from `origins` (n, 3) [m] in unit `directions` (n, 3).
 
-    Parameters
-    ----------
-    corners
-        (t, 3, 3) [m]: the triangles of a closed mesh, wound outward.
-    length
-        How far an exit may be [m].
+    `corners` (t, 3, 3) [m] are the triangles of a closed mesh, wound outward; exits beyond `length` [m] are
+    left out.
     """
     rows = max(1, PAIRS_AT_ONCE // len(corners))
     starts = range(0, len(origins), rows)
@@ -62,7 +58,7 @@ def _last_exits_of_some(origins: Floats, directions: Floats, corners: Floats, le
 
 
 def _exit_distances(origins: Floats, directions: Floats, corners: Floats) -> Floats:
-    """(n, t): how far along each ray (n, 1, 3) it leaves through each triangle; NaN where it does not."""
+    """(n, t): distance along each ray (n, 1, 3) to its exit by each triangle; NaN without one."""
     first, second, third = np.moveaxis(corners, 1, 0)
     one, other = second - first, third - first
     across = cross(directions, other)
@@ -87,12 +83,12 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class OppositePoints:
-    """For each surface point the last point of the surface straight behind it, within the hand's opening."""
+    """The last surface point straight behind each surface point, within the hand's opening."""
 
     distances: Floats
-    """(n,) [m]; NaN where there is none."""
+    """(n,) [m]; NaN where there is no such point."""
     normals: Floats
-    """(n, 3): the outward unit normals there; any where there is none."""
+    """(n, 3): the outward unit normals there; any where there is no such point."""
 
 
 class ObjectSurface:
@@ -111,7 +107,7 @@ class ObjectSurface:
 
     @cached_property
     def opposites(self) -> OppositePoints:
-        """What the hand's jaw would close on with each surface point; without a jaw nothing."""
+        """The points that the hand's jaw would close on with each surface point; none without a jaw."""
         jaw, corners = self._scene.gripper.jaw, self._scene.object.triangles.astype(np.float64)
         opening = 0.0 if jaw is None else jaw.opening
         distances, triangles = last_exits(self.points, -self.normals, corners, opening)
@@ -122,7 +118,7 @@ class ObjectSurface:
 VOXEL_PITCH = 1e-3  # The side of a voxel [m]; larger for an object of more than `MOST` voxels
 MAX_VOXELS = 1 << 24
 SAFE_DEPTH = 1e-4
-"""How far within a part a voxel must be [m]. Bullet's hulls are larger than ours by a margin of 1 mm."""
+"""Least depth of a voxel within a part [m]. Bullet's hulls are larger than ours by 1 mm."""
 INSIDE_POINTS = 512
 DRAWS = 8192
 ROUNDS = 64
@@ -136,10 +132,10 @@ class ObjectSolid:
         self.hulls = convex_hulls(parts)
         """The parts."""
         self.is_whole = 0 < len(self.hulls) == len(parts)
-        """Whether all of the object is in them; flat parts are left out."""
+        """True if all of the object is in them; flat parts are left out."""
         self._surface = scene.surface_points.astype(np.float64)
         self.radius = float(np.sqrt((self._surface**2).sum(axis=1).max()))
-        """How far the surface is from the centre of mass at most [m]."""
+        """Largest distance of the surface from the centre of mass [m]."""
 
     @cached_property
     def inside(self) -> VoxelGrid:
@@ -154,7 +150,7 @@ class ObjectSolid:
 
     @cached_property
     def points(self) -> Floats:
-        """(512, 3) [m]: points drawn uniformly from the inside; of the surface where there is hardly any."""
+        """(512, 3) [m]: points drawn uniformly from the inside, or of the surface of a thin object."""
         random = np.random.default_rng(0)
         low, high = self.box
         found = [self._surface[:0]]

@@ -20,17 +20,17 @@ SAMPLE_POINTS = 1024
 DRAWN_POINTS = 4096  # How many points are drawn; of them those are kept that are farthest apart
 DEEP_SHARE = 0.4  # The share of points that are drawn from within a part, and not from under its surface
 SURFACE_SCALE = 0.98
-"""How far from a part's centre its surface is taken to be: points of the edge would be on either side."""
+"""Scale of a part's surface about its centre: points of the edge would be on either side."""
 
 
 class HandSurfaceSamples:
     """Sample points of a hand, link by link."""
 
     def __init__(self, gripper: SceneGripper) -> None:
-        self._skeleton = HandKinematics(gripper)
-        self._names = list(self._skeleton.hulls)
+        self._kinematics = HandKinematics(gripper)
+        self._names = list(self._kinematics.hulls)
         opened = np.array([[joint.opened for joint in gripper.joints]])
-        self._opened = self._skeleton.frames(opened)
+        self._opened = self._kinematics.frames(opened)
         self._links, self._points = self._sample()
 
     def points(self, postures: NDArray[np.float32], some: slice) -> Singles:
@@ -41,7 +41,7 @@ class HandSurfaceSamples:
         links, points = self._links[some], self._points[some]
         if (postures == postures[:1]).all():
             postures = postures[:1]
-        frames = self._skeleton.frames(postures.astype(np.float64))
+        frames = self._kinematics.frames(postures.astype(np.float64))
         placed = np.empty((len(postures), len(points), 3), dtype=np.float32)
         for link in np.unique(links):
             frame, of_link = frames[self._names[link]], links == link
@@ -51,10 +51,10 @@ class HandSurfaceSamples:
     def _sample(self) -> tuple[NDArray[np.int64], Floats]:
         """The link (1024,) and place (1024, 3) of each point, link frame [m]."""
         random = np.random.default_rng(0)
-        parts = [(i, hull) for i, name in enumerate(self._names) for hull in self._skeleton.hulls[name]]
+        parts = [(i, hull) for i, name in enumerate(self._names) for hull in self._kinematics.hulls[name]]
         if not parts:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-        sizes = np.array([triangle_areas(hull).sum() for _, hull in parts])
+        sizes = np.array([hull.areas.sum() for _, hull in parts])
         counts = np.maximum(1, np.rint(DRAWN_POINTS * sizes / sizes.sum())).astype(np.int64)
         points = [draw_points(hull, count, random) for (_, hull), count in zip(parts, counts, strict=True)]
         links = np.repeat([link for link, _ in parts], counts)
@@ -69,15 +69,9 @@ class HandSurfaceSamples:
         return placed
 
 
-def triangle_areas(hull: Hull) -> Floats:
-    """The areas (t,) of the triangles of a hull's surface [m2]."""
-    a, b, c = np.moveaxis(hull.triangles, 1, 0)
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
-
-
 def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
     """Draw points (n, 3) [m] that are inside a hull, most of them close under its surface."""
-    sizes = triangle_areas(hull)
+    sizes = hull.areas
     triangles = hull.triangles[random.choice(len(sizes), n, p=sizes / sizes.sum())]
     weights = random.dirichlet((1.0, 1.0, 1.0), n)
     centre = hull.triangles.reshape(-1, 3).mean(axis=0)
@@ -87,7 +81,10 @@ def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
 
 
 def farthest_points(points: Floats) -> NDArray[np.int64]:
-    """Choose at most 1024 of `points` (n, 3): each is the one farthest from those before it."""
+    """Choose at most 1024 of `points` (n, 3): each is the one farthest from those before it.
+
+    Greedy farthest-point sampling (Gonzalez 1985), so that the first points lie wide apart.
+    """
     chosen = np.zeros(min(SAMPLE_POINTS, len(points)), dtype=np.int64)
     distances = np.full(len(points), np.inf)
     columns = np.ascontiguousarray(points.T)
@@ -103,12 +100,9 @@ POINTS_AT_ONCE = 1 << 15  # Points that are looked up at once: they fit in the c
 
 
 class OverlapFilter:
-    """What tells overlapping poses of a scene.
+    """Finds poses of a scene at which the hand surely overlaps.
 
-    Parameters
-    ----------
-    follows_free_joints
-        Whether the hand is tested with its free joints where the grasp has them, or open.
+    The hand is tested with its free joints where the grasp has them (`follows_free_joints`), or open.
     """
 
     def __init__(self, gripper: SceneGripper, solid: ObjectSolid, *, follows_free_joints: bool) -> None:
@@ -127,7 +121,7 @@ class OverlapFilter:
         return np.sort(np.concatenate(rejected))
 
     def _hits(self, grasps: DecodedGrasps, places: NDArray[np.intp], stage: slice) -> NDArray[np.bool_]:
-        """Which poses have one of the points of a stage inside the object: (p,)."""
+        """(p,): poses that have one of the points of a stage inside the object."""
         step = max(1, POINTS_AT_ONCE // (stage.stop - stage.start))
         starts = range(0, len(places), step)
         parts = [self._look(grasps, places[i : i + step], stage) for i in starts]

@@ -1,4 +1,4 @@
-"""Evaluation protocols, one table of frozen values, and the trials that disturb a grasp (docs/protocols.md).
+"""Evaluation protocols as a table of frozen values, and the trials that disturb a grasp.
 
 Common to all protocols: no gravity, 240 steps a second, 100 steps of closing, then two shakes with three
 targets of 68 steps each. Figures are those of the public code of Huber et al. 2024 (commit 0b8f8da).
@@ -21,12 +21,12 @@ from qdgrasp_protocol import rows
 from qdgrasp_worker.decoder import HandPose
 
 FRICTION_DECIMALS = 6
-"""What frictions are rounded to: in decimals, so that the ends of an interval stay what the table says."""
+"""Decimals of frictions: rounded so, the ends of an interval stay as in the table."""
 
 
 @dataclass(frozen=True)
 class TrialSetup:
-    """What is simulated of a grasp."""
+    """A grasp as it is simulated in one trial."""
 
     pose: HandPose
     """In the CoM frame of the object as it lies in this trial."""
@@ -36,12 +36,12 @@ class TrialSetup:
 
 @dataclass(frozen=True)
 class Mixture:
-    """What trials are drawn from, beginning with 1; trial 0 is the nominal one."""
+    """Distributions that trials from 1 on are drawn from; trial 0 is the nominal one."""
 
     position_sigma: float
     """Of the object's displacement along each axis [m]."""
     angle_sigma: float
-    """Of each of the angles by which the object turns about the fixed axes x, then y, then z [rad]."""
+    """Of each angle by which the object turns about the fixed axes x, then y, then z [rad]."""
     rolling: tuple[float, float]
     """The interval of its coefficient of rolling friction."""
     spinning: tuple[float, float]
@@ -49,7 +49,7 @@ class Mixture:
     seed: int = 0
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
-        """One of the trials of a grasp; the object turns about its centre of mass, after it is displaced."""
+        """Draw a trial of a grasp; the object is displaced, then turned about its centre of mass."""
         random = np.random.default_rng([self.seed, *pose_seed(pose), number])
         position = random.normal(0.0, self.position_sigma, 3)
         quaternion = from_euler(random.normal(0.0, self.angle_sigma, (1, 3)))[0]
@@ -58,7 +58,7 @@ class Mixture:
 
 
 def pose_seed(pose: HandPose) -> list[int]:
-    """The sha256 of a grasp as it is simulated: pose and initial joints, float32, and synergy, int8."""
+    """The sha256 of a grasp as simulated: pose and initial joints in float32, synergy in int8."""
     numbers = np.array([*pose.position, *pose.quaternion, *pose.joints], dtype="<f4")
     digest = hashlib.sha256(numbers.tobytes() + np.int8(pose.synergy).tobytes()).digest()
     words: list[int] = np.frombuffer(digest, dtype="<u4").tolist()
@@ -103,7 +103,7 @@ class Shake:
     joint: str
     """"z" or "x": the carrier joint that is marked with it."""
     amplitude: float
-    """[m or rad]. The translation is limited by its force: it goes from 0 to 0.206 m and back to 0."""
+    """[m or rad]. The translation is limited by its force: from 0 to 0.206 m and back to 0."""
     position_gain: float
     """Bullet's kp."""
     velocity_gain: float
@@ -111,28 +111,28 @@ class Shake:
 
     @property
     def targets(self) -> tuple[float, float, float]:
-        """Where the joint is sent, one after the other."""
+        """The positions that the joint is driven to, in order."""
         return self.amplitude, -self.amplitude, 0.0
 
 
 @dataclass(frozen=True)
 class EvaluationProtocol:
-    """What an evaluation does where the protocols differ."""
+    """The settings in which the protocols differ."""
 
     name: str
     shakes: tuple[Shake, ...]
-    look_every: int
-    """Steps of a shake between two looks whether the hand still touches the object; divides TARGET_STEPS."""
+    contact_check_steps: int
+    """Steps of a shake between two checks of contact with the object; divides TARGET_STEPS."""
     ends_when_lost: bool
-    """Whether an object that one shake lost is spared the next."""
+    """An object that one shake lost is spared the next."""
     free_joints_first: bool
-    """Whether the free joints take their places before the test for overlap, or after it."""
+    """Free joints take their places before the test for overlap, not after it."""
     mixture: Mixture | None = None
-    """What trials from 1 on are drawn from; None: there are none."""
+    """Distributions that trials from 1 on are drawn from; None: there are no trials."""
 
     @property
     def trials(self) -> int:
-        """How many trials there are besides trial 0, the nominal one."""
+        """Number of trials besides trial 0, the nominal one."""
         return rows.trial_count(self.name)
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
@@ -145,9 +145,11 @@ SHAKES = (
     Shake("x", pi / 4, position_gain=0.05, velocity_gain=1.0),
 )
 RELEASED = EvaluationProtocol(
-    "released", SHAKES, look_every=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
+    "released", SHAKES, contact_check_steps=TARGET_STEPS, ends_when_lost=False, free_joints_first=False
 )
-PAPER = EvaluationProtocol("paper", SHAKES, look_every=1, ends_when_lost=True, free_joints_first=True)
+PAPER = EvaluationProtocol(
+    "paper", SHAKES, contact_check_steps=1, ends_when_lost=True, free_joints_first=True
+)
 MIXTURE = Mixture(position_sigma=0.005, angle_sigma=radians(30.0), rolling=(0.01, 0.04), spinning=(0.1, 0.4))
 ROBUST = replace(PAPER, name="robust", mixture=MIXTURE)
 PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST)}

@@ -1,4 +1,4 @@
-"""Screening: which candidate of each genome is simulated, as far as that is known beforehand.
+"""Screening: choose the candidate of each genome to simulate, as far as geometry can tell.
 
 Candidates that surely overlap are left out, the others are ranked by features (docs/methods.md). Two of
 these are of the volume that the closing fingers sweep, and of the direction in which they do. It is a
@@ -6,7 +6,7 @@ measure for ranking poses, and decides nothing else. An object of which much is 
 to be touched; where all of it is passed through in one direction, it is likely to be pushed away.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.hand_geometry import HandKinematics
+from qdgrasp_worker.hand_geometry import Closing, HandKinematics
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.overlap_filter import OverlapFilter, rotation_matrices, transform_points
 from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid, convex_hulls
@@ -27,13 +27,11 @@ from qdgrasp_worker.voxels import Hull, Singles, VoxelGrid, convex_hulls
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]
 STEPS_BETWEEN_LOOKS = 5  # Steps of the closing hand between two looks where its fingers are
 FREE_JOINT_PLACES = 5
-"""At how many places of each free joint a swath is measured; the nearest one stands for a posture."""
+"""Places of each free joint at which a swept volume is measured; the nearest one is used."""
 POSES_AT_ONCE = 64  # Poses that are looked up at once: their points fit in the cache
 MIN_MOTION = 1e-5  # What a finger moves at least from one look to the next to have a direction [m]
 DIRECTION_UNIT = 1 << 12
 """The length of a direction: in whole numbers, whose sums do not depend on their order."""
-Closing = Callable[[Sequence[float], int], list[list[float]]]
-"""The courses of a closing hand's joints, by its initial posture and its synergy."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class SweptVolume:
     """One way of closing, hand frame."""
 
     voxels: VoxelGrid
-    """The level says which finger comes there first, and when: the greater, the earlier; 0: none does."""
+    """The level tells the first finger there, and its time: greater is earlier; 0: none."""
     ways: NDArray[np.int32]
     """(levels, 3): in which direction across the approach axis it comes, see `directions`."""
 
@@ -56,12 +54,12 @@ class SweptVolume:
 
 
 class SweptVolumes:
-    """The swaths of a scene's hand, each measured when it is first asked for."""
+    """The volumes of a scene's hand, each measured when it is first asked for."""
 
     def __init__(self, gripper: SceneGripper, closing: Closing) -> None:
-        self._skeleton = HandKinematics(gripper)
+        self._kinematics = HandKinematics(gripper)
         self._fingers = gripper.finger_links
-        self._plain = {link: simplified_hulls(self._skeleton.hulls[link]) for link in self._fingers}
+        self._plain = {link: simplified_hulls(self._kinematics.hulls[link]) for link in self._fingers}
         self._closing = closing
         self._approach = np.array(gripper.approach_axis)
         self._opened = [joint.opened for joint in gripper.joints]
@@ -72,7 +70,7 @@ class SweptVolumes:
         self._found: dict[tuple[int, ...], SweptVolume] = {}
 
     def shares(self, points: Singles, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
-        """How much of an object's points (p, 3), CoM frame, is in the swath, and is so from opposite sides.
+        """Shares of an object's points (p, 3), CoM frame, that are swept, and from opposite sides.
 
         (places, 2), between 0 and 1; the second is the first, less the length of the mean of the directions
         in which the fingers come to the points.
@@ -80,21 +78,21 @@ class SweptVolumes:
         shares = np.zeros((len(places), 2), dtype=np.float32)
         keys, which = np.unique(self._keys(grasps, places), axis=0, return_inverse=True)
         for i, key in enumerate(keys.tolist()):
-            swath = self._swath(tuple(key))
+            swept_volume = self._volume(tuple(key))
             (mine,) = np.nonzero(which.reshape(-1) == i)
             for start in range(0, len(mine), POSES_AT_ONCE):
                 some = mine[start : start + POSES_AT_ONCE]
-                shares[some] = swath.shares(*points_in_hand_frames(points, grasps, places[some]))
+                shares[some] = swept_volume.shares(*points_in_hand_frames(points, grasps, places[some]))
         return shares
 
     def _keys(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.int64]:
-        """What names the swath of each grasp: its synergy, and the place of each of its free joints."""
+        """A number for the swept volume of each grasp, by its synergy and places of its free joints."""
         free = grasps.joints[places][:, self._free].astype(np.float64)
         portions = (free - self._low) / np.where(self._high == self._low, 1.0, self._high - self._low)
         stops = np.rint(np.clip(portions, 0.0, 1.0) * (FREE_JOINT_PLACES - 1)).astype(np.int64)
         return np.column_stack([grasps.synergies[places], stops])
 
-    def _swath(self, key: tuple[int, ...]) -> SweptVolume:
+    def _volume(self, key: tuple[int, ...]) -> SweptVolume:
         if key not in self._found:
             self._found[key] = self._measure(key[0], np.array(key[1:]))
         return self._found[key]
@@ -103,14 +101,15 @@ class SweptVolumes:
         """Close the hand on nothing and mark the way of its fingers."""
         posture = np.array(self._opened)
         posture[self._free] = self._low + stops / (FREE_JOINT_PLACES - 1) * (self._high - self._low)
-        frames = self._skeleton.frames(
+        frames = self._kinematics.frames(
             np.array(self._closing(posture.tolist(), synergy))[::STEPS_BETWEEN_LOOKS]
         )
-        voxels = VoxelGrid(*self._skeleton.box(self._fingers, frames), VOXEL_PITCH, np.uint16)
+        voxels = VoxelGrid(*self._kinematics.box(self._fingers, frames), VOXEL_PITCH, np.uint16)
         parts = [(frames[link], hull) for link in self._fingers for hull in self._plain[link]]
         looks = len(next(iter(frames.values())))
         ways = np.zeros((1 + looks * len(parts), 3), dtype=np.int32)
         for i, (course, hull) in enumerate(parts):
+            # Of several fingers the first counts: an earlier look has a greater level, and `mark` keeps that.
             levels = 1 + i + len(parts) * np.arange(looks)[::-1]
             ways[levels] = motion_directions(course, hull, self._approach)
             for frame, level in zip(course, levels.tolist(), strict=True):
@@ -140,7 +139,7 @@ def simplified_hulls(parts: Sequence[Hull]) -> list[Hull]:
 def points_in_hand_frames(
     points: Singles, grasps: DecodedGrasps, places: NDArray[np.intp]
 ) -> tuple[Singles, Singles, Singles]:
-    """x, y and z (n, p) of points (p, 3), CoM frame, in the frames of the hands at `places` (n,)."""
+    """x, y, z (n, p) of points (p, 3), CoM frame, in the frames of the hands at `places` (n,)."""
     rotations = np.moveaxis(rotation_matrices(grasps.quaternions[places]), 1, 2)
     return transform_points(points[None], rotations, -rotate_vectors(rotations, grasps.positions[places]))
 
@@ -153,16 +152,16 @@ def rotate_vectors(rotations: Singles, vectors: Singles) -> Singles:
 
 
 DEFAULT_WEIGHTS = np.array([0.25, 1.0, 0.0, 0.0, 0.0, 0.0])
-"""The weights of a genome whose own are all zero: what is swept, and above all from opposite sides."""
+"""Weights of a genome whose own are zero: the swept share, above all from opposite sides."""
 
 
 class PoseFeatures:
     """The features (docs/methods.md) of a scene's poses."""
 
-    def __init__(self, gripper: SceneGripper, solid: ObjectSolid, swaths: SweptVolumes) -> None:
+    def __init__(self, gripper: SceneGripper, solid: ObjectSolid, volumes: SweptVolumes) -> None:
         self._gripper = gripper
         self._solid = solid
-        self._swaths = swaths
+        self._volumes = volumes
         self._points = solid.points.astype(np.float32)
 
     def features(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -171,12 +170,12 @@ class PoseFeatures:
         All but the last are between 0 and 1, or -1 and 1.
         """
         features = np.ones((len(places), len(FEATURES)), dtype=np.float32)
-        features[:, :2] = self._swaths.shares(self._points, grasps, places)
+        features[:, :2] = self._volumes.shares(self._points, grasps, places)
         features[:, 2:5] = self._geometry(grasps, places)
         return features
 
     def _geometry(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> Floats:
-        """Cos nu, d in its interval, and the contact's height along the approach in object radii: (p, 3)."""
+        """(p, 3): cos nu, d in its interval, the contact's height along the approach [object radii]."""
         points = grasps.surface_points[places].astype(np.float64)
         offsets = grasps.positions[places] - points
         distances = np.sqrt(dot(offsets, offsets))
@@ -187,7 +186,7 @@ class PoseFeatures:
 
 
 def have_threshold(weights: Floats) -> NDArray[np.bool_]:
-    """Which genomes (n,), by their weights (n, f), want a score of 0 or more of what is simulated.
+    """(n,): genomes, by weights (n, f), that want a score of 0 or more of a simulated pose.
 
     Those with a weight for the constant, which changes no order: it says what is not worth a simulation.
     """
@@ -196,7 +195,7 @@ def have_threshold(weights: Floats) -> NDArray[np.bool_]:
 
 
 def candidate_scores(features: NDArray[np.float32], weights: Floats) -> Floats:
-    """How promising poses are: (p,), of their features (p, f) and the weights (p, f) of their genomes."""
+    """Scores (p,) of poses, of their features (p, f) and the weights (p, f) of their genomes."""
     weights = np.where(weights.any(axis=1, keepdims=True), weights, DEFAULT_WEIGHTS)
     total = np.zeros(len(features))
     for i in range(features.shape[1]):
@@ -209,31 +208,26 @@ class Shortlist:
     """The candidates of one genome, by their places in the batch."""
 
     first: int
-    """What stands for the genome where none is simulated: the first that is a pose, or the first."""
+    """The pose that stands for a genome of which none is simulated: a finite one, or the first."""
     poses: int
-    """How many of them are poses; 0: a dead end."""
+    """Number of poses; 0: a dead end."""
     ranked: list[int]
-    """The poses that do not surely overlap, and promise enough, in the order in which they are tried."""
-    otherwise: Outcome
-    """What it means where none of them is simulated."""
+    """Poses that do not surely overlap and promise enough, in the order in which they are tried."""
+    fallback: Outcome
+    """The outcome if none of them is simulated."""
 
     @property
     def is_choice(self) -> bool:
-        """Whether one of several poses is to be found."""
+        """True if one of several poses is to be found."""
         return self.poses > 1
 
 
 class CandidateScreen:
-    """What is known of a scene's poses before they are simulated.
+    """Screens a scene's poses before they are simulated.
 
-    Parameters
-    ----------
-    closing
-        How the hand closes on nothing.
-    follows_free_joints
-        Whether the test for overlap has the free joints where the grasp has them, or open.
-    filters
-        Whether poses that surely overlap are left out; it changes no result.
+    `closing` closes the hand on nothing. The test for overlap has the free joints where the grasp has them
+    (`follows_free_joints`), or open. It `filters` poses that surely overlap, or does not, with the same
+    results.
     """
 
     def __init__(
@@ -254,19 +248,15 @@ class CandidateScreen:
     def __call__(
         self, grasps: DecodedGrasps, trials: NDArray[np.uint16], wanted: NDArray[np.bool_]
     ) -> tuple[list[Shortlist], NDArray[np.float32]]:
-        """The shortlists of a batch, one for each genome, and the features (poses, f) of what is ranked.
+        """The shortlist of each genome of a batch, and the features (poses, f) of what is ranked.
 
-        Parameters
-        ----------
-        trials
-            (n,): beyond 0 a genome's only pose is disturbed and not filtered; of several one is chosen first.
-        wanted
-            (n,): the genomes that are looked at; the others have empty lists.
+        Beyond trial 0 a genome's only pose is disturbed and not filtered; of several one is chosen first.
+        Genomes that are not `wanted` (n,) have empty lists.
         """
-        is_pose = ~grasps.dead_ends & wanted[grasps.rows]
+        is_pose = ~grasps.dead_ends & wanted[grasps.genome_of]
         (poses,) = np.nonzero(is_pose)
-        is_choice = np.bincount(grasps.rows[poses], minlength=len(trials)) > 1
-        (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.rows])
+        is_choice = np.bincount(grasps.genome_of[poses], minlength=len(trials)) > 1
+        (nominal,) = np.nonzero(is_pose & (is_choice | (trials == 0))[grasps.genome_of])
         left = np.setdiff1d(poses, self._overlap(grasps, nominal)) if self._filters else poses
         features, order = self._rank(grasps, left)
         choosy = have_threshold(grasps.weights)
@@ -277,12 +267,12 @@ class CandidateScreen:
     def _rank(
         self, grasps: DecodedGrasps, left: NDArray[np.intp]
     ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-        """The features (poses, f), and those of `left` that promise enough, the best of each genome first."""
+        """The features (poses, f), and those of `left` that promise enough, best first per genome."""
         features = np.zeros((len(grasps), grasps.weights.shape[1]), dtype=np.float32)
         if not features.shape[1]:
             return features, left
         features[left] = self._ranking.features(grasps, left)
-        rows = grasps.rows[left]
+        rows = grasps.genome_of[left]
         promised = candidate_scores(features[left], grasps.weights[rows])
         best_first = np.lexsort([-promised, rows])
         is_enough = (promised >= 0.0) | ~have_threshold(grasps.weights)[rows]
@@ -299,15 +289,15 @@ class CandidateScreen:
 
 
 def make_shortlists(
-    grasps: DecodedGrasps, poses: NDArray[np.intp], order: NDArray[np.intp], otherwise: NDArray[np.integer]
+    grasps: DecodedGrasps, poses: NDArray[np.intp], order: NDArray[np.intp], fallbacks: NDArray[np.integer]
 ) -> list[Shortlist]:
-    """A list for each genome, of the `poses` among a batch of grasps and the `order` in which to try them."""
+    """A list for each genome, of `poses` among the grasps and the `order` in which to try them."""
     genomes = np.arange(len(grasps.weights))
-    counts = np.bincount(grasps.rows[poses], minlength=len(genomes))
-    first = np.searchsorted(grasps.rows, genomes)
+    counts = np.bincount(grasps.genome_of[poses], minlength=len(genomes))
+    first = np.searchsorted(grasps.genome_of, genomes)
     is_alive = counts > 0
-    first[is_alive] = poses[np.searchsorted(grasps.rows[poses], genomes[is_alive])]
-    ends = np.searchsorted(grasps.rows[order], genomes, side="right")
+    first[is_alive] = poses[np.searchsorted(grasps.genome_of[poses], genomes[is_alive])]
+    ends = np.searchsorted(grasps.genome_of[order], genomes, side="right")
     ranked = [places.tolist() for places in np.split(order, ends)[:-1]]
-    outcomes = [Outcome(number) for number in otherwise.tolist()]
+    outcomes = [Outcome(number) for number in fallbacks.tolist()]
     return [Shortlist(*each) for each in zip(first.tolist(), counts.tolist(), ranked, outcomes, strict=True)]

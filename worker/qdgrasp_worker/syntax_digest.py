@@ -1,4 +1,4 @@
-"""The digest of code by its syntax: of what it does, not of where it stands and what it is called.
+"""The digest of code by its syntax: of its effect, not of its place or its name.
 
 1. Counted are the functions, classes and constants of this package that the entries reach by name, in
    whatever modules they stand.
@@ -25,7 +25,7 @@ REFERENCE = re.compile(r"<([\w.]+):(\w+)>")  # How a definition refers to anothe
 
 
 class Key(NamedTuple):
-    """Which definition it is."""
+    """Name of a definition."""
 
     module: str
     name: str
@@ -35,9 +35,9 @@ class Module(NamedTuple):
     """A module as it is written."""
 
     definitions: Mapping[str, list[tuple[int, ast.stmt]]]
-    """The statements that define each of its names, and which of several names in a statement it is."""
+    """Statements that define each of its names, with the name's place among several."""
     imports: Mapping[str, str]
-    """What each imported name stands for, in full, such as `numpy.typing.NDArray`."""
+    """Full name that each imported name stands for, such as `numpy.typing.NDArray`."""
     others: list[ast.stmt]
     """Statements that define nothing: they are not counted."""
 
@@ -57,7 +57,7 @@ class Definition(NamedTuple):
 
 
 def syntax_digest(*entries: Callable[..., object]) -> str:
-    """The sha256 over the classes and functions given, and over all that they reach, 64 hex digits."""
+    """The sha256 over these classes and functions and all that they reach, 64 hex digits."""
     return _sha256("".join(sorted(digests(reached(*entries)).values())))
 
 
@@ -152,7 +152,7 @@ def _imported(tree: ast.Module) -> Iterator[tuple[str, str]]:
 
 
 def _meant(module: str, name: str) -> Key | str | None:
-    """What a name in a module stands for: a definition of ours, or something else in full; None: unknown."""
+    """The definition or full name that a name in a module stands for; None: unknown."""
     written = read(module)
     if name in written.definitions:
         return Key(module, name)
@@ -176,7 +176,7 @@ def _definition(key: Key) -> Definition:
 
 @cache
 def _counted(module: str, statement: ast.stmt) -> tuple[str, set[str]]:
-    """What counts of a statement, which is taken to pieces, and the names in it that are unknown."""
+    """The counted part of a statement, which is taken to pieces, and its unknown names."""
     reader = _Reader(module)
     tree = reader.visit(statement)
     if isinstance(tree, ast.FunctionDef | ast.ClassDef):
@@ -201,7 +201,7 @@ class _Reader(ast.NodeTransformer):
         return node
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        """What a function calls its own hides what the module calls so."""
+        """Names of a function's own hide those of the module."""
         node.returns = None
         node.decorator_list = [self.visit(one) for one in node.decorator_list]
         outside, self._in_class = self._in_class, False
@@ -236,7 +236,7 @@ class _Reader(ast.NodeTransformer):
         return None if is_text else self.generic_visit(node)
 
     def visit_Raise(self, node: ast.Raise) -> ast.AST:
-        """Which error it is, and what it says, is no result."""
+        """Leave errors out: neither their kind nor their sentence is a result."""
         return ast.Raise()
 
     def visit_Import(self, node: ast.Import) -> None:
@@ -254,7 +254,7 @@ class _Reader(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.AST:
-        """What it stands for is put in its place, but for what a function or a class calls its own."""
+        """Put the definition in a name's place, unless a function or class has its own of it."""
         is_field = self._in_class and isinstance(node.ctx, ast.Store)
         if is_field or self._is_local(node.id):
             return node

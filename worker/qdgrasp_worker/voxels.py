@@ -33,6 +33,12 @@ class Hull:
         """(p, 3)."""
         return self.planes[:, :3]
 
+    @property
+    def areas(self) -> Floats:
+        """(t,) [m2]: the areas of the triangles of its surface."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+
     def grown(self, by: float) -> Self:
         """The hull with its planes moved outward by `by` [m]."""
         planes = self.planes - np.array([0.0, 0.0, 0.0, by])
@@ -55,7 +61,7 @@ class Hull:
         )
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """Which of the points (n, 3) [m] are inside: (n,)."""
+        """(n,): True for the points (n, 3) [m] that are inside."""
         inside: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
         heights = points[inside] @ self.normals.T + self.planes[:, 3]
         inside[inside] = np.all(heights <= 0.0, axis=1)
@@ -84,17 +90,7 @@ UPRIGHT_NORMAL = 1e-9  # The z of a normal below which a plane is taken for upri
 
 
 class VoxelGrid:
-    """Levels from 0, of cubes in a box.
-
-    Parameters
-    ----------
-    low, high
-        The corners (3,) of the box [m].
-    pitch
-        The side of a cube [m].
-    kind
-        What levels are kept in.
-    """
+    """Levels from 0, of cubes of side `pitch` [m] in a box from `low` (3,) to `high` (3,) [m]."""
 
     def __init__(self, low: Floats, high: Floats, pitch: float, kind: type[Kind] = np.uint8) -> None:
         self.pitch = pitch
@@ -121,7 +117,7 @@ class VoxelGrid:
         np.maximum(region, inside * self.levels.dtype.type(level), out=region)
 
     def at(self, x: Singles, y: Singles, z: Singles) -> NDArray[Kind]:
-        """The levels at points (...) [m]; outside the box that of the rim, 0 unless it was set to more."""
+        """The levels at points (...) [m]; outside the box that of the rim, 0 unless it was raised."""
         flat = np.zeros(x.shape, dtype=np.int32)
         for axis, values in enumerate((x, y, z)):
             place = (values - self._origin[axis]) * np.float32(1.0 / self.pitch)
@@ -132,7 +128,7 @@ class VoxelGrid:
 
 
 def column_interval(planes: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Where columns at `x` (a, 1) and `y` (1, b) enter and leave a hull: (a, b) [m].
+    """Heights (a, b) [m] at which columns at `x` (a, 1) and `y` (1, b) enter and leave a hull.
 
     A column that misses it leaves below where it enters.
     """

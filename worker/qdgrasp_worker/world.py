@@ -15,6 +15,7 @@ from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Contact, Motor
 from qdgrasp_worker.contact_filter import SweptBox
 from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.hand_geometry import free_posture
 from qdgrasp_worker.protocols import CLOSING_STEPS, Shake
 
 HAND_GROUP, OBJECT_GROUP = 1, 2
@@ -24,7 +25,7 @@ OBJECT_URDF = """<robot name="object"><link name="object">
 <collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
 </link></robot>
 """
-"""Inertia and contacts as in the public code's runs, where the shape lies off the centre of mass.
+"""Inertia and contacts as in the public code's runs, with the shape off the centre of mass.
 
 Bullet takes the inertia from the collision shape, not from here. The nanometre keeps it from unwrapping
 a shape that stands alone at no offset: a bare hull of the rubiks cube has 5 % less inertia, other margins,
@@ -35,10 +36,7 @@ and another answer to whether a finger touches it in 6 % of poses.
 class HandBody:
     """A hand on its carrier, with the indices that Bullet gave to its links and joints.
 
-    Raises
-    ------
-    AssetError
-        Bullet cannot load it, or a joint or link that the scene names is not in the URDF.
+    An AssetError if Bullet cannot load it, or a joint or link that the scene names is not in the URDF.
     """
 
     def __init__(self, bullet: Bullet, gripper: SceneGripper) -> None:
@@ -55,13 +53,7 @@ class HandBody:
 
 
 class ObjectBody:
-    """An object, with its root link at its centre of mass.
-
-    Raises
-    ------
-    AssetError
-        Bullet cannot load it.
-    """
+    """An object, with its root link at its centre of mass; an AssetError if it cannot be loaded."""
 
     def __init__(self, bullet: Bullet, target: SceneObject) -> None:
         urdf = OBJECT_URDF.format(mass=target.mass)
@@ -71,7 +63,7 @@ class ObjectBody:
         self.frictions = target.rolling_friction, target.spinning_friction
         """Its own coefficients of rolling and spinning friction."""
         self.radius = max(math.hypot(*vertex) for vertex in obj_vertices(target.collision))
-        """How far any of it is from its centre of mass [m]."""
+        """Largest distance of a vertex from the centre of mass [m]."""
 
 
 def obj_vertices(obj: bytes) -> Iterator[list[float]]:
@@ -107,17 +99,11 @@ def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int])
 
 AWAY_POSITION = [0.0, 0.0, 5.0]  # Where the hand is out of touch with everything [m]
 FREE_POSTURES = 13
-"""How many places of the free joints the sweep is measured at: every 15 degrees of Barrett's spread."""
+"""Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread."""
 
 
 class World:
-    """A hand on its carrier and an object, until `close`.
-
-    Raises
-    ------
-    AssetError
-        Bullet cannot load the scene, or a joint or link that it names is not there.
-    """
+    """A hand on its carrier and an object, until `close`; an AssetError if one cannot be loaded."""
 
     def __init__(self, scene: Scene) -> None:
         self._bullet = Bullet()
@@ -157,13 +143,7 @@ class World:
         self._bullet.set_joints(self._hand.body, self._hand.fingers, posture)
 
     def close_fingers(self, synergy: int) -> None:
-        """Command a synergy's fingers to close, the other driven ones to stay open, the carrier to hold.
-
-        Raises
-        ------
-        ValueError
-            The hand has no synergy of this label.
-        """
+        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold."""
         if synergy not in self._closing:
             raise ValueError(f"synergy must be one of {sorted(self._closing)}, got {synergy}")
         for index, target, motor in self._closing[synergy]:
@@ -180,7 +160,7 @@ class World:
         self._bullet.step()
 
     def is_touching(self) -> bool:
-        """Whether any link of the hand touches the object."""
+        """Return whether any link of the hand touches the object."""
         return self._bullet.touching(self._hand.body, self._target.body)
 
     def contacts(self) -> list[Contact]:
@@ -188,11 +168,11 @@ class World:
         return self._bullet.contacts(self._hand.body, self._target.body)
 
     def has_lost_object(self, pose: HandPose) -> bool:
-        """Whether the hand at `pose`, while it closes, can touch the object no more."""
+        """Return whether the hand at `pose`, while it closes, can touch the object no more."""
         body = self._target.body
         return self._sweep.is_left(pose, self._bullet.position(body), self._bullet.velocity(body))
 
-    def fingers(self) -> list[float]:
+    def finger_positions(self) -> list[float]:
         """The positions of the finger joints, in the gripper's order [rad or m]."""
         return self._bullet.joints(self._hand.body, self._hand.fingers)
 
@@ -210,21 +190,21 @@ class World:
         self._sweep = self._measure_sweep(gripper)
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """The finger joints as they close on nothing, before each step and after the last [rad or m]."""
+        """The finger joints while they close on nothing, before each step and after the last."""
         self.reset(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY), posture)
         self.close_fingers(synergy)
-        course = [self.fingers()]
+        course = [self.finger_positions()]
         for _ in range(CLOSING_STEPS):
             self.step()
-            course.append(self.fingers())
+            course.append(self.finger_positions())
         return course
 
     def _measure_sweep(self, gripper: SceneGripper) -> SweptBox:
         """Close the hand far from the object, with its free joints all along their ranges."""
         away = HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY)
         boxes = []
-        for posture in free_postures(gripper):
-            self.reset(away, posture)
+        for i in range(FREE_POSTURES if gripper.free_joints else 1):
+            self.reset(away, free_posture(gripper, i / (FREE_POSTURES - 1)))
             self.close_fingers(NO_SYNERGY)
             for _ in range(CLOSING_STEPS):
                 boxes += [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]
@@ -232,7 +212,7 @@ class World:
         return SweptBox.around(boxes, AWAY_POSITION, self._target.radius)
 
     def _commands(self, gripper: SceneGripper, closing: Sequence[str]) -> list[tuple[int, float, Motor]]:
-        """What is commanded when the joints `closing` close; undriven joints keep Bullet's own motor."""
+        """The motor commands when the joints `closing` close; undriven ones keep Bullet's own motor."""
         held = [
             (index, 0.0, Motor(joint.force, joint.max_velocity))
             for index, joint in zip(self._hand.carrier, gripper.carrier, strict=True)
@@ -248,18 +228,6 @@ class World:
 def finger_motor(joint: Joint) -> Motor:
     """The motor of a finger joint."""
     return Motor(joint.effort, joint.velocity)
-
-
-def free_postures(gripper: SceneGripper) -> Iterator[list[float]]:
-    """Open postures with the free joints along their ranges, all at once."""
-    free = {joint.name: joint for joint in gripper.free_joints}
-    for share in (i / (FREE_POSTURES - 1) for i in range(FREE_POSTURES if free else 1)):
-        yield [
-            free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
-            if joint.name in free
-            else joint.opened
-            for joint in gripper.joints
-        ]
 
 
 def closing_joints(gripper: SceneGripper) -> dict[int, Sequence[str]]:

@@ -19,7 +19,7 @@ One that takes longer is killed, which loses nothing but its time.
 def start_worker(crew: ProcessGroup, number: int, arguments: Iterable[str]) -> None:
     """Start a worker that leaves before it would be killed."""
     grace = ["--grace", f"{crew.members_grace:g}"]
-    crew.hire(f"worker-{number}", "qdgrasp_worker.cli", [*arguments, *grace])
+    crew.start(f"worker-{number}", "qdgrasp_worker.cli", [*arguments, *grace])
 
 
 COORDINATOR = "coordinator"
@@ -69,7 +69,7 @@ class RestartPolicy:
         EndedEarly
             The coordinator decided to end, or was told to, or a process dies again and again.
         """
-        for death in self._crew.deaths():
+        for death in self._crew.exits():
             if death.name == COORDINATOR:
                 self._coordinator_died(death, now)
             elif not self.is_done:
@@ -80,7 +80,7 @@ class RestartPolicy:
             self._hire_coordinator()
 
     def _coordinator_died(self, death: ProcessExit, now: float) -> None:
-        words = self._crew.last_words(death.name)
+        words = self._crew.last_error(death.name)
         if death.exit_code == InputError.exit_code:
             raise InputError(words)
         if words:
@@ -99,7 +99,7 @@ class RestartPolicy:
             self._display.say(f"{death.name} has left")
             return
         if death.exit_code == InputError.exit_code and self._hire_at is None:
-            raise InputError(self._crew.last_words(death.name))
+            raise InputError(self._crew.last_error(death.name))
         self._count(death)
         self._say(death, self._crew.restart_later(death.name, now))
 
@@ -107,11 +107,11 @@ class RestartPolicy:
         self._deaths[death.name] += 1
         most = MOST_KILLS if death.exit_code in KILL_CODES else MOST_TRIES
         if self._deaths[death.name] > most:
-            words = self._crew.last_words(death.name)
+            words = self._crew.last_error(death.name)
             raise EndedEarly(
                 f"The {death.name} died {most + 1} times while the job got no further; "
-                f"the last time it {death.words}. {words}".strip()
+                f"the last time it {death.description}. {words}".strip()
             )
 
     def _say(self, death: ProcessExit, pause: float) -> None:
-        self._display.say(f"{death.name} {death.words}; it is started again in {pause:.1f} s")
+        self._display.say(f"{death.name} {death.description}; it is started again in {pause:.1f} s")

@@ -43,7 +43,7 @@ class LocalSession:
 
     def hire_recorder(self, out: Path) -> None:
         """Start a recorder that writes to the folder of a job."""
-        self.crew.hire(
+        self.crew.start(
             "recorder", "qdgrasp_coordinator.cli.recorder_process", [*self._meeting, "--out", str(out)]
         )
 

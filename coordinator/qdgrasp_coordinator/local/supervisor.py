@@ -101,7 +101,7 @@ class Supervisor:
             for number in range(self._team.workers):
                 self._hire_worker(crew, near, number)
             stack.enter_context(self._listen(near, stack, watch))
-            stack.callback(crew.bid_leave)  # while the session is being closed
+            stack.callback(crew.request_stop)  # while the session is being closed
             self._await(lambda: watch.is_done, watch)
 
     def _hire_coordinator(self, crew: ProcessGroup) -> None:
@@ -114,12 +114,12 @@ class Supervisor:
             arguments += ["--seconds", str(max(0.0, left))]
         if self._is_paused:
             arguments.append("--paused")
-        crew.hire(COORDINATOR, "qdgrasp_coordinator.cli.coordinator_process", arguments)
+        crew.start(COORDINATOR, "qdgrasp_coordinator.cli.coordinator_process", arguments)
 
     def _hire_recorder(self, crew: ProcessGroup, endpoint: str) -> None:
         arguments = [*self._place(endpoint), "--out", str(self._folder.path)]
         arguments += ["--disk-wait", str(self._team.disk_wait)]
-        crew.hire("recorder", "qdgrasp_coordinator.cli.recorder_process", arguments)
+        crew.start("recorder", "qdgrasp_coordinator.cli.recorder_process", arguments)
 
     def _hire_worker(self, crew: ProcessGroup, endpoint: str, number: int) -> None:
         start_worker(crew, number, self._place(endpoint))

@@ -128,7 +128,7 @@ class BusSubscriptions:
         enter(bus.watch(keys.recorder_token(), self._token_changed))
         enter(bus.answer(keys.control, self._reception.order))
         for shown in (keys.stat(), keys.meta, keys.recent):
-            enter(bus.show(shown, self._display.values))
+            enter(bus.answer_values(shown, self._display.values))
 
     def open_to_workers(self, epoch: int) -> None:
         """Subscribe to results, joins and scene queries, then put up the token for workers."""

@@ -191,7 +191,7 @@ class ReplayFailed(QdgraspError):
     """The process that replays ended without an answer."""
 
     def __init__(self, death: ProcessExit, said: str) -> None:
-        super().__init__(f"The process that replays {death.words}. {said}".strip())
+        super().__init__(f"The process that replays {death.description}. {said}".strip())
 
 
 @contextmanager
@@ -229,8 +229,8 @@ def local_platform() -> dict[str, str]:
 def _run_process(folder: Path, stop: Stop) -> None:
     """Start the process that replays, and wait for it."""
     with ProcessGroup(folder, GRACE) as crew:
-        crew.hire("replay", REPLAY_MODULE, [str(folder)])
-        while not (stop.is_set or (ended := crew.deaths())):
+        crew.start("replay", REPLAY_MODULE, [str(folder)])
+        while not (stop.is_set or (ended := crew.exits())):
             _wait(crew)
         for death in () if stop.is_set else ended:
             _check(death, crew)
@@ -244,7 +244,7 @@ def _wait(crew: ProcessGroup) -> None:
 
 
 def _check(death: ProcessExit, crew: ProcessGroup) -> None:
-    said = crew.last_words(death.name)
+    said = crew.last_error(death.name)
     if death.exit_code == InputError.exit_code:
         raise InputError(said)
     if death.exit_code:

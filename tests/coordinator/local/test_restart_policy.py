@@ -41,10 +41,10 @@ class Staff:
         self.now += seconds
         self.watch.look(self.now)
 
-    def deaths(self) -> list[ProcessExit]:
+    def exits(self) -> list[ProcessExit]:
         return self.dead
 
-    def last_words(self, name: str) -> str:
+    def last_error(self, name: str) -> str:
         return self.words[name]
 
     def restart_later(self, name: str, now: float) -> float:
@@ -143,7 +143,7 @@ def test_a_member_that_names_bad_input_ends_the_job_unless_the_coordinator_is_aw
 class StartedProcesses(ProcessGroup):
     """A crew that notes with what its members are started, and starts nobody."""
 
-    def hire(self, name: str, module: str, arguments: Any, core: int | None = None) -> None:
+    def start(self, name: str, module: str, arguments: Any, core: int | None = None) -> None:
         self.command = ["qdgrasp-worker", *arguments]
 
 
@@ -156,5 +156,7 @@ def test_a_worker_is_told_to_leave_before_its_crew_ends_it(tmp_path: Path, grace
 
 def test_workers_are_started_in_one_place() -> None:
     room = Path(qdgrasp_coordinator.__file__).parent
-    starters = [file.relative_to(room) for file in room.rglob("*.py") if '.hire(f"worker' in file.read_text()]
-    assert starters == [Path("watching/workers.py")]
+    starters = [
+        file.relative_to(room) for file in room.rglob("*.py") if '.start(f"worker' in file.read_text()
+    ]
+    assert starters == [Path("local/restart_policy.py")]

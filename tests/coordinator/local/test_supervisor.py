@@ -35,27 +35,27 @@ class Staff:
     def __exit__(self, *_: object) -> None:
         pass
 
-    def hire(self, name: str, _module: str, arguments: list[str]) -> None:
+    def start(self, name: str, _module: str, arguments: list[str]) -> None:
         if name != "coordinator":
             self.others.append(arguments)
             return
         self.coordinators.append(arguments)
         self._folder.write_endpoint(after("--listen", arguments) or CHOSEN)
 
-    def deaths(self) -> list[ProcessExit]:
+    def exits(self) -> list[ProcessExit]:
         if len(self.coordinators) == 2:
             return [ProcessExit("coordinator", 0)]
         killed = [ProcessExit("coordinator", -9)] if self.others and not self._is_killed else []
         self._is_killed |= bool(killed)
         return killed
 
-    def last_words(self, _name: str) -> str:
+    def last_error(self, _name: str) -> str:
         return ""
 
     def restart_due(self, now: float) -> None:
         pass
 
-    def bid_leave(self) -> None:
+    def request_stop(self) -> None:
         pass
 
 

@@ -36,7 +36,7 @@ def coordinator(
 
     with ExitStack() as stack:
         for pattern in (keys.stat(), keys.meta, keys.recent):
-            stack.enter_context(bus.show(pattern, answer))
+            stack.enter_context(bus.answer_values(pattern, answer))
         stack.enter_context(bus.token(keys.coordinator_token(epoch)))
         yield
 
@@ -109,10 +109,10 @@ def test_a_feed_survives_that_it_is_cut_off() -> None:
     near = network.session()
     with network.session() as bus, Feed(near) as feed, coordinator(bus):
         until(feed, is_whole)
-        near.cut()
+        near.disconnect()
         until(feed, lambda _: not feed.is_linked)
         assert feed.views()[0].state != "gone"
-        near.mend()
+        near.reconnect()
         say(bus, MUGS.stat("job"), figures(evaluations=1234))
         until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
 

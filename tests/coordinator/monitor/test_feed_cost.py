@@ -82,7 +82,7 @@ class Coordinator:
         self.board.open(self.now)
         with ExitStack() as stack:
             for shown in (keys.stat(), keys.meta, keys.recent):
-                stack.enter_context(self.bus.show(shown, self.board.display.values))
+                stack.enter_context(self.bus.answer_values(shown, self.board.display.values))
             stack.enter_context(self.bus.token(keys.coordinator_token(1)))
             yield
 
@@ -265,7 +265,7 @@ def test_answers_that_a_stopped_monitor_does_not_take_hold_nobody_up() -> None:
 
     with (
         job.serving(),
-        job.bus.show(HEAVY, answers),
+        job.bus.answer_values(HEAVY, answers),
         job.network.session() as worker,
         FakeWorker(worker, "a" * 32).at_work() as pretender,
         job.network.session() as other,

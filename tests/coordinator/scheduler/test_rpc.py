@@ -128,8 +128,8 @@ def test_a_drained_worker_that_comes_back_is_told_again() -> None:
         assert ann.kept.wait(PATIENCE)
         send_command(bus, "drain", worker="aaa")
         before = ann.rows
-        session.cut()
-        session.mend()
+        session.disconnect()
+        session.reconnect()
         until(lambda: len(ann.controls) == 2)
         assert ann.controls[-1].drain
         assert ann.rows == before

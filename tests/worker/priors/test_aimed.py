@@ -36,12 +36,12 @@ def test_a_genome_has_as_many_candidates_as_it_asks_for(cube, values) -> None:
     some = values[:5].copy()
     some[:, CANDIDATES] = 1, 2.4, 7.6, 31, 32
     grasps = decode(cube, some)
-    assert np.bincount(grasps.rows).tolist() == [1, 2, 8, 31, 32]
-    assert (np.diff(grasps.rows) >= 0).all()
+    assert np.bincount(grasps.genome_of).tolist() == [1, 2, 8, 31, 32]
+    assert (np.diff(grasps.genome_of) >= 0).all()
 
 
 def test_hands_stand_anywhere_in_the_cell_of_the_target_and_nowhere_else(values, grasps, poses) -> None:
-    offsets = grasps.positions[poses] * 100.0 - np.rint(values[grasps.rows[poses], :3] * 100.0)
+    offsets = grasps.positions[poses] * 100.0 - np.rint(values[grasps.genome_of[poses], :3] * 100.0)
     assert np.abs(offsets).max() <= 0.5 + 1e-4
     np.testing.assert_allclose(offsets.std(axis=0), 1 / 12**0.5, rtol=0.1)
 
@@ -49,7 +49,7 @@ def test_hands_stand_anywhere_in_the_cell_of_the_target_and_nowhere_else(values,
 def test_contact_points_are_surface_points_beside_the_hint(cube, values, grasps, poses) -> None:
     distances, _ = KDTree(cube.surface_points).query(grasps.surface_points[poses])
     assert distances.max() == 0.0
-    apart = np.linalg.norm(grasps.surface_points[poses] - values[grasps.rows[poses], 3:6], axis=1)
+    apart = np.linalg.norm(grasps.surface_points[poses] - values[grasps.genome_of[poses], 3:6], axis=1)
     assert 0.005 < np.sqrt((apart**2).mean()) < 0.015
 
 
@@ -109,7 +109,7 @@ def test_loose_candidates_take_contact_points_from_all_over_the_surface(cube, va
 def test_candidates_depend_on_the_bytes_of_their_genome_alone(cube, values, grasps) -> None:
     genomes = encoded(cube, values)
     alone = Decoder(cube, "aimed", ObjectSurface(cube))(genomes[7:8])
-    mine = grasps.rows == 7
+    mine = grasps.genome_of == 7
     np.testing.assert_array_equal(alone.positions, grasps.positions[mine])
     np.testing.assert_array_equal(alone.quaternions, grasps.quaternions[mine])
     other = genomes[7:8].copy()

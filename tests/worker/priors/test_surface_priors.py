@@ -30,7 +30,7 @@ def normals_at(scene, points):
 
 
 def middles(scene, grasps):
-    """Where the fingertips are, and the axis along which they close."""
+    """The places of the fingertips, and the axis along which they close."""
     turn = Rotation.from_quat(grasps.quaternions)
     hand = scene.gripper
     return grasps.positions + turn.apply(np.array(hand.approach_axis) * hand.reach), turn.apply(hand.jaw.axis)
@@ -126,7 +126,7 @@ def test_any_axes_of_a_hand_that_are_at_right_angles_will_do(cube, draw):
 
 
 def mirrored(scene):
-    """The scene in a mirror: x of everything changes its sign, and triangles are wound the other way."""
+    """The scene in a mirror: x changes its sign, and triangles are wound the other way."""
     flip = MIRROR.astype("<f4")
     vertices = np.frombuffer(scene.object.mesh_vertices, "<f4").reshape(-1, 3) * flip
     faces = np.frombuffer(scene.object.mesh_faces, "<u4").reshape(-1, 3)[:, ::-1]

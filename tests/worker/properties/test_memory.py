@@ -1,4 +1,4 @@
-"""What a worker's process needs of memory."""
+"""Memory of a worker's process."""
 
 import pytest
 from benchmarks.memory import COURSES, EIGHT, apart, follow, serve, shortened

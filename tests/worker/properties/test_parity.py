@@ -1,4 +1,4 @@
-"""The reference hands against the verdicts of the authors' own code, pose by pose, and the built-in hands
+"""Parity of hands with the verdicts of the authors' own code, pose by pose.
 against the reference hands on the same poses; protocol `released` (data/README.md,
 docs/decisions/0009-grippers-and-inference.md).
 """
@@ -17,18 +17,18 @@ from qdgrasp_worker.evaluator import Evaluator
 OBJECTS = ("rubiks_cube", "mug", "power_drill")
 REFERENCES = {"allegro": "allegro", "barrett": "bh280", "panda": "panda_2f", "shadow": "shadow"}
 FITNESS = {"allegro": 0.75, "bh280": 0.70, "panda_2f": 0.75, "shadow": 0.75}
-"""The share of grasps of either side on which fitness agrees; the Barrett agrees with itself on 85 %."""
+"""Share of grasps of either side with the same fitness; Barrett agrees with itself on 85 %."""
 FEW = 30
 """Classes with fewer rows are not judged."""
 NAMES, POSE = ("valid", "touched", "success"), ("base_position", "base_quaternion_xyzw", "synergy", "spread")
-"""What is read of a file."""
+"""Columns that are read of a file."""
 NEIGHBOURS = {"shadow": 24}
-"""How many poses to try around each success, where the successes alone are few."""
+"""Number of poses to try around each success, where the successes alone are few."""
 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What one side says of each pose; (n,) each."""
+    """Verdicts of one side on each pose; (n,) each."""
 
     valid: np.ndarray
     touched: np.ndarray
@@ -43,7 +43,7 @@ def joined(verdicts):
 
 
 def recorded(path, hand, target, every=1):
-    """The poses of a file, or every so many of them, as genomes of the prior `given`, and the verdicts."""
+    """The poses of a file, or every so many, as genomes of the prior `given`, and the verdicts."""
     with np.load(path / "parity" / f"{hand}_{target}.npz") as kept:
         file = {name: kept[name][::every] for name in (*NAMES, "fitness", *POSE)}
     columns = [file["base_position"], file["base_quaternion_xyzw"]]
@@ -120,7 +120,7 @@ def test_a_built_in_hand_succeeds_where_the_reference_does(name, asset_path):
 
 
 def both(path, name, target):
-    """The built-in hand's verdicts and the reference's, on recorded poses or on those around successes."""
+    """The built-in hand's and the reference's verdicts, on recorded poses or around successes."""
     hand = REFERENCES[name]
     poses, theirs = recorded(path, hand, target)
     if name in NEIGHBOURS:
@@ -139,7 +139,7 @@ def around(poses, count):
 
 
 def balanced(verdicts):
-    """As many rows that are successes as rows that are simulated and are none; their indices."""
+    """Indices of as many rows that are successes as of simulated ones that are not."""
     hits, misses = np.flatnonzero(verdicts.success), np.flatnonzero(verdicts.valid & ~verdicts.success)
     count = min(len(hits), len(misses))
     random = np.random.default_rng(0)

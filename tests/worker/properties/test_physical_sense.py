@@ -25,7 +25,7 @@ MESH = '<mesh filename="parts.obj"/>'
 
 
 class TurnedWorld(World):
-    """A world whose object lies turned about its centre of mass, a little otherwise in each episode."""
+    """A world whose object lies turned about its centre of mass, differently in each episode."""
 
     def __init__(self, scene: Scene, turns: Iterator[list[float]]) -> None:
         self._turns: Iterator[list[float]] = repeat(UPRIGHT)
@@ -47,7 +47,7 @@ def poses_of(scene, genomes) -> list[HandPose]:
 
 
 def outcomes(world: World, poses: list[HandPose]) -> list[Outcome]:
-    """What the poses come to; the world is closed."""
+    """The outcomes of the poses; the world is closed."""
     found = [Episode(world, PAPER).run(TrialSetup(pose)).outcome for pose in poses]
     world.close()
     return found
@@ -74,7 +74,7 @@ def agreement(found: list[Outcome], expected: list[Outcome]) -> float:
 
 
 def mirrored_pose(pose: HandPose) -> HandPose:
-    """What a mirror in the plane x = 0 shows, of a hand whose own frame is mirrored in its plane x = 0."""
+    """The image of a pose in the plane x = 0, for a hand whose frame is mirrored likewise."""
     (px, py, pz), (x, y, z, w) = pose.position, pose.quaternion
     return HandPose([-px, py, pz], [x, -y, -z, w], pose.joints, pose.synergy)
 

@@ -1,4 +1,4 @@
-"""An evaluation is a pure function of scene, genome and trial: the same bytes in any order, anywhere."""
+"""Evaluation is a pure function of scene, genome and trial: the same bytes in any order."""
 
 import subprocess
 import sys
@@ -37,7 +37,7 @@ np.save(folder / "rows.npy", rows)
 
 
 def many_ways(scene: Scene) -> Scene:
-    """The Panda as a hand with synergies and a free joint, so that motors differ from pose to pose."""
+    """The Panda as a hand with synergies and a free joint, so that motors differ by pose."""
     gripper = msgspec.structs.replace(
         scene.gripper,
         synergies=(
@@ -59,11 +59,11 @@ CASES = {
     "aimed": ("aimed", lambda make: many_ways(make("panda", "rubiks_cube", "paper"))),
 }
 MANY = {"synergies": (160, 16), "spherical": (160, 16), "aimed": (240, 96)}
-"""How many genomes, and how many of them from near by, where that is not 320 and 32."""
+"""Number of genomes, and of those from near by, where that is not 320 and 32."""
 
 
 def spherical(scene: Scene, genomes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Genomes (n, 6) of the prior spherical for the poses of genomes (n, 7) of the prior approach."""
+    """Genomes (n, 6) of the prior spherical for poses of genomes (n, 7) of the prior approach."""
     grasps = Decoder(scene, "approach", ObjectSurface(scene))(genomes)
     x, y, z = grasps.positions.astype(np.float64).T
     with warnings.catch_warnings(action="ignore"):  # scipy says where an angle is not unique

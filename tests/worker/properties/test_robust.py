@@ -1,4 +1,4 @@
-"""The protocol robust: trial 0 is the paper's evaluation, and each other row is a function of its own."""
+"""The protocol robust: trial 0 is the paper's evaluation, each trial a function of its own."""
 
 import subprocess
 import sys
@@ -17,7 +17,7 @@ from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 GENOMES = 900
 FEW = {Outcome.DROPPED: 1, Outcome.SHAKEN: 1, Outcome.HELD: 1}
 MANY = {Outcome.DROPPED: 18, Outcome.SHAKEN: 14, Outcome.HELD: 10}
-"""How many successes of each outcome are tried a hundred times."""
+"""Number of successes of each outcome that are tried a hundred times."""
 ELSEWHERE = """
 import sys
 from pathlib import Path
@@ -49,7 +49,7 @@ def nominal(scene, genomes):
 
 @pytest.fixture(scope="module")
 def mixed(nominal):
-    """Successes in a few of their trials each, trial 0 among them, one genome's beside another's."""
+    """Successes in a few of their trials each, trial 0 among them, genomes mixed."""
     some = nominal[nominal["outcome"] >= Outcome.DROPPED]["genome"][:30]
     trials = np.tile([0, 1, 2, 50, TRIALS], len(some))
     return np.repeat(some, 5, axis=0), trials

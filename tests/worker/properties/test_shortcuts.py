@@ -1,4 +1,4 @@
-"""Shortcuts change no result: poses are spared the simulator, and closings end early, as if they were not."""
+"""Shortcuts change no result: filters of poses, and early ends of closings."""
 
 from dataclasses import replace
 from itertools import product
@@ -35,7 +35,7 @@ def rows_of(scene, prior, genomes, *, shortcuts):
 
 
 def different(scene, prior, genomes):
-    """How many rows differ in any result without shortcuts, and the outcomes."""
+    """Number of rows that differ in any result without shortcuts, and the outcomes."""
     rows, plain = (rows_of(scene, prior, genomes, shortcuts=shortcuts) for shortcuts in (True, False))
     differing = sum(ours != theirs for ours, theirs in zip(bits(rows), bits(plain), strict=True))
     return differing, rows["outcome"]

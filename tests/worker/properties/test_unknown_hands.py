@@ -1,4 +1,4 @@
-"""Hands that nobody wrote a file for: their URDF is read, how they grasp is guessed, and they do."""
+"""Hands without a gripper file: their URDF is read, their closing guessed, and they grasp."""
 
 import sys
 from collections.abc import Callable
@@ -38,7 +38,7 @@ CASES = {
     "allegro_boxes": ("mani-skill", f"{MANI}/allegro/allegro_hand_right.urdf", "mug"),
     "ability": ("mani-skill", f"{MANI}/ability_hand/ability_hand_right.urdf", "mug"),
 }
-"""Hands in public packages: the package, the URDF below a folder of Python's path, and an object."""
+"""Hands in public packages: package, URDF below a folder of Python's path, object."""
 
 
 @pytest.fixture(params=CASES)
@@ -65,7 +65,7 @@ def scene_of(urdf: Path, folder: Path, target: str, *, mends: bool = False) -> S
 
 
 def grasps(scene: Scene, draw: Callable[..., np.ndarray], n: int) -> int:
-    """How many of `n` poses hold the object in a shake or two; half look straight at it from near by."""
+    """Number of `n` poses that hold the object in a shake or two; half look at it from near by."""
     genomes = draw(n, genes=len(layout(scene, "contact")))
     genomes[:, DISTANCE] = (genomes[:, DISTANCE] - 1.0) / 2.0
     genomes[::2, NU], genomes[::2, DISTANCE] = -1.0, (genomes[::2, DISTANCE] - 1.0) / 2.0
@@ -102,7 +102,7 @@ def test_a_hand_that_mimics_grasps(mimicking: Scene, draw: Callable[..., np.ndar
 
 @pytest.mark.parametrize(("mass", "moved"), [("0.1", 0.04), ("0", 0.0)])
 def test_a_joint_that_carries_no_mass_stands_still(tmp_path: Path, mass: str, moved: float) -> None:
-    """Why such hands are refused (hands/weight.py)."""
+    """The reason for which such hands are refused (hands/weight.py)."""
     (tmp_path / "jaw.urdf").write_text(
         example_hands.JAW_URDF.replace('mass value="0.1"', f'mass value="{mass}"')
     )

@@ -1,4 +1,4 @@
-"""Evaluations to replay: poses near a scene's object, as the evaluator scores them, by how they ended."""
+"""Evaluations to replay, by outcome: poses near a scene's object, as the evaluator scores."""
 
 from dataclasses import dataclass
 
@@ -11,13 +11,13 @@ from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
 from qdgrasp_worker.evaluator import Evaluator
 
 NEAR = (-1.0, -0.5)
-"""Genes nu and d of genomes of the prior approach that look straight at the surface from near by."""
+"""Genes nu and d of genomes of the prior approach that look at the surface from near by."""
 SIZE = 320, 240
 
 
 @dataclass(frozen=True)
 class RecordedEvaluation:
-    """What came of poses of the prior `given`."""
+    """Results of poses of the prior `given`."""
 
     scene: Scene
     rows: Rows
@@ -28,7 +28,7 @@ class RecordedEvaluation:
 
 
 def record_evaluation(scene: Scene, n: int, trial: int = 0, seed: int = 0) -> RecordedEvaluation:
-    """Poses that the prior approach makes, all but every fourth of them near; each in its open posture."""
+    """Evaluate poses of the prior approach, three of four near, each in its open posture."""
     with Evaluator(scene) as evaluator:
         genes = evaluator.shape("approach").genes
         genomes = np.random.default_rng(seed).uniform(-1, 1, (n, genes)).astype(np.float32)
@@ -40,7 +40,7 @@ def record_evaluation(scene: Scene, n: int, trial: int = 0, seed: int = 0) -> Re
 
 
 def given(scene: Scene, rows: Rows) -> NDArray[np.float32]:
-    """The poses of rows with all driven fingers closing, and free joints in the middle of their ranges."""
+    """The poses of rows with all driven fingers closing, and free joints in mid-range."""
     n, hand = len(rows), scene.gripper
     synergies = np.full((n, 1 if hand.synergies else 0), -1.0)
     free = np.tile([(joint.low + joint.high) / 2 for joint in hand.free_joints], (n, 1))

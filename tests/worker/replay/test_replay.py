@@ -1,4 +1,4 @@
-"""A replay comes to the recorded verdict, and its pictures show the hand where the numbers say it is."""
+"""A replay gives the recorded verdict, and its pictures agree with the numbers."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -43,7 +43,7 @@ def drawn(replay: EpisodeReplay):
         frames.append(np.zeros((*shape, 3), dtype=np.uint8))
         return frames[0]
 
-    return replay.draw(make), frames[0]
+    return replay.render(make), frames[0]
 
 
 def assert_same(row: np.void, replay: EpisodeReplay) -> None:
@@ -128,24 +128,26 @@ def test_convex_parts_are_drawn_where_they_are_asked_for(on_the_cube):
 
 
 class Watched:
-    """A still of a grasp as the renderer sees it, and where forward kinematics puts what is in it."""
+    """A still of a grasp as rendered, and the places by forward kinematics."""
 
     def __init__(self, scene: Scene, row: np.void) -> None:
         replay = EpisodeReplay(scene, request(row, width=WIDTH, height=HEIGHT))
-        moment = still_snapshot(replay.moments)
-        with Renderer(scene) as eye:
-            lens = camera_around(eye, [moment], moment, best_view(eye, moment), WIDTH / HEIGHT)
-            eye.show(moment)
-            self.seen: SegmentationMask = eye.tell(lens, WIDTH, HEIGHT)
-            names = eye._bullet.links(eye._hand.body)
-        self.camera = lens.camera(WIDTH, HEIGHT)
+        snapshot = still_snapshot(replay.snapshots)
+        with Renderer(scene) as renderer:
+            camera = camera_around(
+                renderer, [snapshot], snapshot, best_view(renderer, snapshot), WIDTH / HEIGHT
+            )
+            renderer.place(snapshot)
+            self.seen: SegmentationMask = renderer.segment(camera, WIDTH, HEIGHT)
+            names = renderer._bullet.links(renderer._hand.body)
+        self.camera = camera.camera(WIDTH, HEIGHT)
         self.numbers = {link.link: number for number, link in enumerate(names)}
         robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314
-        postures = dict(zip(replay._joints, moment.joints, strict=True))
+        postures = dict(zip(replay._joints, snapshot.joints, strict=True))
         self.frames = robot.forward(postures, frame(row["base_to_object"]))
         self.hulls = HandKinematics(scene.gripper).hulls
         self.fingers = [link for link in scene.gripper.finger_links if self.hulls[link]]
-        self.object = frame([*moment.object[0], *moment.object[1]])
+        self.object = frame([*snapshot.object[0], *snapshot.object[1]])
 
     def corners(self, link: str) -> np.ndarray:
         """(n, 3): the corners of a link's shapes, by forward kinematics."""
@@ -154,7 +156,7 @@ class Watched:
 
 
 def within(mask: np.ndarray, pixels: np.ndarray) -> bool:
-    """Whether what is drawn lies in the box around where points are seen."""
+    """Return whether all that is drawn lies in the box around where points are seen."""
     rows, columns = np.nonzero(mask)
     low, high = pixels.min(axis=0) - SLACK, pixels.max(axis=0) + SLACK
     return bool(

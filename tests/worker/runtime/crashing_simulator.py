@@ -1,4 +1,4 @@
-"""A simulator that evaluates the rows of plans, and that some of them end: `python -m ...poisoned`."""
+"""A simulator that evaluates the rows of plans, and that some rows end."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ import numpy as np
 from tests.coordinator.scheduler.search_plans import SHAPE, evaluate
 
 from qdgrasp_protocol.rows import Outcome, RowShape
-from qdgrasp_worker.evaluator import Evaluation
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation
 from qdgrasp_worker.runtime.simulator_main import main
 
 COMMAND = [sys.executable, "-m", "tests.worker.runtime.crashing_simulator"]
@@ -23,6 +23,8 @@ ENDS = (os.abort, fail, lambda: os._exit(1))
 
 class CrashingEvaluator:
     """A pure function of genome and trial; on poison the process ends, one way or the other."""
+
+    at_once = ROWS_AT_ONCE
 
     def __init__(self, bundle: bytes) -> None:
         """Every scene is alike."""

@@ -9,7 +9,7 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.runtime.evaluator_api import Hands, Verdicts
 
 ASKED: list[Hands] = []
-"""What `Height` was asked, in this process."""
+"""The hands that `Height` was given, in this process."""
 
 
 class Height:
@@ -35,7 +35,7 @@ class Squeamish(Height):
 
 @dataclass
 class Wrong:
-    """Gives verdicts that are none."""
+    """Gives impossible verdicts."""
 
     verdicts: Verdicts
 

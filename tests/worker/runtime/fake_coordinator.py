@@ -1,4 +1,4 @@
-"""A coordinator as a worker sees one: it lets workers in, leases what it was told to, and takes results."""
+"""A coordinator as a worker sees it: it admits workers, leases batches and takes results."""
 
 import hashlib
 import threading

@@ -10,7 +10,7 @@ GENES = 2
 def work(
     batch: int = 1, epoch: int = 1, join: int = 1, n: int = 1, scene: str = "0" * 64, **deeds: int
 ) -> Work:
-    """A batch of n rows whose genomes hold their place, and what a stand-in does there: `row_3=ABORT`."""
+    """A batch of n rows whose genomes hold their place, and the simulator's deed: `row_3=ABORT`."""
     genomes = np.zeros((n, GENES), dtype="<f4")
     genomes[:, 0] = np.arange(n)
     for row, deed in deeds.items():

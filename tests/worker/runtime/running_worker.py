@@ -9,9 +9,9 @@ from tests.worker.runtime import scripted_simulator
 
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.process import Stop
-from qdgrasp_worker.runtime.background_requests import Inbox, SceneStore
+from qdgrasp_worker.runtime.background_requests import SceneStore
 from qdgrasp_worker.runtime.job_registry import RefusedByJob
-from qdgrasp_worker.runtime.service import WorkerService
+from qdgrasp_worker.runtime.service import Inbox, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
 from qdgrasp_worker.runtime.simulator_supervisor import SimulatorClient, SimulatorSupervisor
 
@@ -49,20 +49,20 @@ class RunningWorker:
         self.thread.join(PATIENCE)
         return not self.thread.is_alive()
 
-    def _hire(self) -> SimulatorClient:
+    def _start_simulator(self) -> SimulatorClient:
         settings = SimulatorSettings(row_seconds=PATIENCE, memory=900_000_000, nice=0)
         self.simulators.append(SimulatorClient(self._command, settings, self._inbox.put))
         return self.simulators[-1]
 
     def _work(self) -> None:
-        workshop = SimulatorSupervisor(self._hire, row_seconds=PATIENCE, memory=900_000_000)
-        with workshop, self.bus:
+        simulator = SimulatorSupervisor(self._start_simulator, row_seconds=PATIENCE, memory=900_000_000)
+        with simulator, self.bus:
             service = WorkerService(
                 self.bus,
                 self.stop,
-                workshop,
+                simulator,
                 self._inbox,
-                bundles=SceneStore(None),
+                store=SceneStore(None),
                 job=self._job,
                 grace=self._grace,
             )

@@ -1,4 +1,4 @@
-"""A simulator with an evaluator that does what a genome says: the process, its line and its limits are real.
+"""A simulator whose evaluator acts as genomes say; its process, socket and limits are real.
 
 `python -m tests.worker.runtime.scripted_simulator [LOG]`; LOG hears the number of every row that is begun.
 Rows that wait do so until there is a file `count_block` beside LOG.
@@ -16,7 +16,7 @@ from tests.worker.runtime.leased_batches import GENES
 
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_worker.evaluator import Evaluation
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation
 from qdgrasp_worker.runtime.simulator_main import REPORT_INTERVAL, main
 
 COMMAND = [sys.executable, "-m", "tests.worker.runtime.scripted_simulator"]
@@ -86,6 +86,8 @@ NOTHING, ABORT, HANG, SLEEP, RAISE, LEAK, TAKE_EVERYTHING, BE_KILLED, EXIT, DAWD
 
 class ScriptedEvaluator:
     """Its fitness is the first gene."""
+
+    at_once = ROWS_AT_ONCE
 
     def __init__(self, bundle: bytes) -> None:
         match bundle:

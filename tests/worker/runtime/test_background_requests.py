@@ -1,4 +1,4 @@
-"""Scenes that a worker keeps on disk."""
+"""Scenes that a worker keeps on disk and in memory."""
 
 import hashlib
 import os
@@ -50,34 +50,34 @@ def test_scenes_that_were_used_long_ago_make_room_for_others(office, tmp_path, m
     assert old != recent
 
 
-class Questions:
-    """Errands that are noted only."""
+class NotedRequests:
+    """Requests that are noted only."""
 
     def __init__(self) -> None:
-        self.sought: list[str] = []
+        self.fetched: list[str] = []
 
     def fetch(self, job: str, scene: str) -> None:
-        self.sought.append(scene)
+        self.fetched.append(scene)
 
 
 def test_a_scene_is_looked_for_once_and_again_only_where_it_was_not_found():
-    questions = Questions()
-    scenes = SceneCache(questions)
-    assert not any(scenes.has("job", "a") for _ in range(2))
-    scenes.came(SceneAnswered("job", "a", NoReply("nobody")))
-    assert not scenes.has("job", "a")
-    assert questions.sought == ["a", "a"]
-    scenes.came(SceneAnswered("job", "a", b"a scene"))
-    assert scenes.has("job", "a")
-    assert scenes.take("a") == b"a scene"
+    requests = NotedRequests()
+    scenes = SceneCache(requests)
+    assert not any(scenes.has_or_request("job", "a") for _ in range(2))
+    scenes.on_answer(SceneAnswered("job", "a", NoReply("nobody")))
+    assert not scenes.has_or_request("job", "a")
+    assert requests.fetched == ["a", "a"]
+    scenes.on_answer(SceneAnswered("job", "a", b"a scene"))
+    assert scenes.has_or_request("job", "a")
+    assert scenes.pop("a") == b"a scene"
 
 
 def test_of_scenes_that_nobody_takes_the_last_are_kept_and_the_others_looked_for_again():
-    questions = Questions()
-    scenes = SceneCache(questions)
+    requests = NotedRequests()
+    scenes = SceneCache(requests)
     names = [str(number) for number in range(100)]
     for name in names:
-        scenes.has("job", name)
-        scenes.came(SceneAnswered("job", name, b"a scene"))
-    assert [name for name in names if scenes.has("job", name)] == names[-MAX_SCENES:]
-    assert questions.sought[100:] == names[:-MAX_SCENES]
+        scenes.has_or_request("job", name)
+        scenes.on_answer(SceneAnswered("job", name, b"a scene"))
+    assert [name for name in names if scenes.has_or_request("job", name)] == names[-MAX_SCENES:]
+    assert requests.fetched[100:] == names[:-MAX_SCENES]

@@ -1,4 +1,4 @@
-"""An evaluator of somebody's own in the simulator's place."""
+"""A user's evaluator in the simulator's place."""
 
 import socket
 import sys
@@ -13,11 +13,11 @@ from tests.worker.runtime.evaluators import Height, Squeamish, Wrong
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, RowShape, pack
-from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluator
 from qdgrasp_worker.runtime import simulator_supervisor
 from qdgrasp_worker.runtime.custom_evaluator import CustomEvaluator, custom_platform, load_evaluator
 from qdgrasp_worker.runtime.evaluator_api import BadVerdict, Hands, Verdicts
-from qdgrasp_worker.runtime.simulator_main import ROWS_AT_ONCE, WORK_COLUMNS, SimulatorMain
+from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS, SimulatorMain
 from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, FramedSocket
 
 HERE = Path(evaluators.__file__)
@@ -150,7 +150,7 @@ def test_a_batch_is_shown_in_such_pieces(cube: Scene, draw: Draw) -> None:
         is_careful=False,
     )
     with ours, its:
-        SimulatorMain(FramedSocket(its), 60.0, lambda _: CustomEvaluator(cube, Wide)).answer(request)  # type: ignore[arg-type, return-value]
+        SimulatorMain(FramedSocket(its), 60.0, lambda _: CustomEvaluator(cube, Wide)).evaluate(request)
     assert [len(hands) for hands in evaluators.ASKED] == [25, 25, 10]
 
 

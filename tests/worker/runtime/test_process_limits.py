@@ -1,4 +1,4 @@
-"""What a simulator's process imposes on itself."""
+"""Limits that a simulator's process imposes on itself."""
 
 import os
 import subprocess

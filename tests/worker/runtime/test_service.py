@@ -1,4 +1,4 @@
-"""A worker on the bus, with its simulator in a process: what it joins, serves, hands back and leaves."""
+"""A worker on the bus with its simulator's process: joining, serving, handing back, leaving."""
 
 import os
 import signal
@@ -17,6 +17,9 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Control, Work
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
+from qdgrasp_worker.runtime.service import HAND_BACK_SECONDS, GracefulShutdown
+from qdgrasp_worker.runtime.simulator_messages import PartialResult
 
 
 @pytest.fixture
@@ -108,8 +111,8 @@ def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alo
     other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
     joins = len(office.joins)
     office.give(work(3))
-    worker.bus.cut()
-    worker.bus.mend()
+    worker.bus.disconnect()
+    worker.bus.reconnect()
     office.wait(lambda: len(office.joins) > joins, "a question whether it is still the same coordinator")
     office.wait(lambda: not office.workers, "the end of its token")
     other.wait(lambda: other.joins[-1].credit == 2, "all of the credit")
@@ -330,8 +333,8 @@ def test_a_link_that_was_cut_costs_no_batch_that_is_held(hire, open_office, go_o
     office.give(work(1, n=2, row_0=scripted_simulator.DAWDLE, row_1=scripted_simulator.WAIT))
     office.wait(lambda: office.fetched, "its beginning")
     joins = len(office.joins)
-    worker.bus.cut()
-    worker.bus.mend()
+    worker.bus.disconnect()
+    worker.bus.reconnect()
     office.wait(lambda: len(office.joins) > joins, "another join")
     go_on()
     office.wait(lambda: office.results, "a result")
@@ -346,3 +349,75 @@ def test_a_scene_that_ends_every_simulator_is_tried_three_times_and_not_again(hi
     assert all(len(result.failures) == 2 for result in office.results)
     assert office.results[-1].failures[0].reason == "its scene ends every simulator"
     assert len(worker.simulators) <= 4
+
+
+# The decision when to end.
+
+SECONDS = 2.0
+
+
+def in_work(n: int, done: int, since: float) -> BatchProgress:
+    task = BatchProgress("job", work(n=n), since=since)
+    if done:
+        task.add(PartialResult(n=done, columns={"nu": bytes(4 * done)}))
+    return task
+
+
+@pytest.fixture
+def shutdown() -> GracefulShutdown:
+    return GracefulShutdown(SECONDS)
+
+
+def test_nobody_leaves_unasked(shutdown):
+    assert not shutdown.is_over(1e9)
+
+
+def test_an_idle_worker_goes_at_once(shutdown):
+    shutdown.start(None, now=10.0)
+    assert shutdown.is_over(10.0)
+
+
+def test_a_batch_that_fits_is_finished_before(shutdown):
+    half = in_work(n=10, done=5, since=9.0)
+    shutdown.start(half, now=10.0)
+    assert shutdown.last_batch is half
+    assert not shutdown.is_over(10.5)
+    shutdown.on_released(half)
+    assert shutdown.is_over(10.5)
+
+
+@pytest.mark.parametrize(("done", "since"), [(1, 9.0), (0, 10.0 - SECONDS), (0, -1000.0)])
+def test_a_batch_that_does_not_fit_is_not_waited_for(shutdown, done, since):
+    shutdown.start(in_work(n=10, done=done, since=since), now=10.0)
+    assert shutdown.last_batch is None
+
+
+def test_a_batch_that_takes_longer_than_it_seemed_is_late_while_it_can_be_handed_back(shutdown):
+    shutdown.start(in_work(n=10, done=9, since=9.0), now=10.0)
+    assert shutdown.deadline == 10.0 + SECONDS - HAND_BACK_SECONDS
+    assert not shutdown.is_late(10.0)
+    assert shutdown.is_late(shutdown.deadline)
+
+
+def test_jobs_hear_what_is_handed_back_unless_that_takes_too_long(shutdown):
+    shutdown.await_job("one")
+    shutdown.start(None, now=10.0)
+    assert not shutdown.is_over(10.1)
+    assert shutdown.is_over(10.0 + SECONDS)
+    shutdown.on_job_told("one")
+    assert shutdown.is_over(10.1)
+
+
+def test_a_worker_without_grace_still_hands_back():
+    shutdown = GracefulShutdown(0.0)
+    shutdown.await_job("one")
+    shutdown.start(in_work(n=1, done=0, since=10.0), now=10.0)
+    assert shutdown.last_batch is None
+    assert not shutdown.is_over(10.0)
+    assert shutdown.is_over(10.0 + HAND_BACK_SECONDS)
+
+
+def test_at_once_is_at_once(shutdown):
+    shutdown.start(in_work(n=10, done=9, since=9.0), now=10.0)
+    shutdown.stop_now()
+    assert shutdown.is_over(10.0)

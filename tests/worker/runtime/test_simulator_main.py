@@ -1,4 +1,4 @@
-"""What a simulator's process does with rows."""
+"""The rows that a simulator's process evaluates."""
 
 from tests.coordinator.scheduler.fakes import Job
 from tests.coordinator.scheduler.search_plans import Plan, reference
@@ -6,7 +6,8 @@ from tests.worker.runtime.crashing_simulator import COMMAND
 from tests.worker.runtime.running_worker import RunningWorker
 
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.runtime.simulator_main import ROWS_AT_ONCE, slices
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE
+from qdgrasp_worker.runtime.simulator_main import slices
 
 
 def test_slices_cover_every_row_once():

@@ -1,4 +1,4 @@
-"""What the workers of one command are started with, when they are started again, and how they are stopped."""
+"""Workers of one command: their arguments, restarts and end."""
 
 import signal
 
@@ -39,7 +39,7 @@ def test_nothing_is_made_of_what_was_not_given():
 
 
 def hopeless(*deaths: tuple[str, int, float]) -> list[bool]:
-    """Whether each death, at its time, ends a team of two whose beginning is 90 s long."""
+    """Return for each death, at its time, whether it ends a pool of two that starts within 90 s."""
     beginning = StartupCheck(2, until=90.0)
     return [beginning.is_hopeless(ProcessExit(name, code), now) for name, code, now in deaths]
 
@@ -75,7 +75,7 @@ class Crewlike:
 def test_a_worker_that_is_turned_away_while_another_serves_is_started_again():
     crew, team = Crewlike(), WorkerPool(2, [], grace=1.0, wait=0.0, is_pinned=False)
     for _ in range(2):
-        team._died(crew, ProcessExit("worker-0", 2), 0.0)
+        team._on_exit(crew, ProcessExit("worker-0", 2), 0.0)
     assert crew.restarted == ["worker-0", "worker-0"]
 
 
@@ -99,8 +99,8 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
         def __init__(self, _logs: object, grace: float) -> None:
             super().__init__(tmp_path / "logs", grace)
 
-        def hire(self, name, module, arguments, core=None):
-            super().hire(name, "obstinate", [], core)
+        def start(self, name, module, arguments, core=None):
+            super().start(name, "obstinate", [], core)
 
         def pids(self):
             said = [log.read_text() for log in (tmp_path / "logs").glob("*.log")]
@@ -110,13 +110,13 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
                 stop.set(signal.SIGINT)
             return super().pids()
 
-        def deaths(self):
+        def exits(self):
             self.pids()
             return []
 
-        def dismiss(self, number=signal.SIGTERM):
+        def stop(self, number=signal.SIGTERM):
             killed.extend(self.pids())
-            super().dismiss(number)
+            super().stop(number)
 
     monkeypatch.setattr(teams, "ProcessGroup", Told)
     WorkerPool(2, [], grace=600.0, wait=0.0, is_pinned=False).run(stop)

@@ -1,4 +1,4 @@
-"""Priors: how a genome becomes a hand pose; the interface, its implementations and their table."""
+"""Priors: decoding of a genome's leading genes to hand poses; interface, kinds and table."""
 
 from qdgrasp_worker.priors.aimed import AIMED
 from qdgrasp_worker.priors.base import GIVEN, SPHERICAL, Prior

@@ -39,7 +39,9 @@ class AimedPrior(Prior):
 
     name = known.AIMED
 
-    def drawn(self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface) -> PriorCandidates:
+    def candidates(
+        self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
+    ) -> PriorCandidates:
         """Candidates, as genes whose target is the hand's position, and whose hints are exact."""
         asked = np.clip(np.nan_to_num(genes[:, CANDIDATES]), 1.0, known.MOST_CANDIDATES)
         counts = np.rint(asked).astype(np.int64)
@@ -76,7 +78,7 @@ class AimedPrior(Prior):
 
 
 def scatter_candidates(genes: Floats, random: Generator, surface: ObjectSurface) -> None:
-    """Draw the candidates (k, g) of one genome in place: position, contact point, roll beside the hint's."""
+    """Draw candidates (k, g) of one genome in place: position, contact point, roll by the hint."""
     k = len(genes)
     genes[:, OMEGA] = 0.0
     if k > 1:

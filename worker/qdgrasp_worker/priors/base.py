@@ -1,4 +1,4 @@
-"""The interface of all priors, and those that do not look at the surface: given and spherical.
+"""The interface of priors, and the two that do not look at the surface: given and spherical.
 
 given: poses that are scored as they are; the genes are x y z [m], qx qy qz qw, the CoM frame.
 
@@ -30,7 +30,7 @@ class PriorCandidates:
     genes: Floats
     """(m, d): what its genes stand for, in m and rad."""
     weights: Floats
-    """(n, f): how each genome ranks its candidates by their features; f is 0 where there is no choice."""
+    """(n, f): weights of a genome's candidates by feature; f is 0 where there is no choice."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,21 @@ class PriorPoses:
     nu: Floats
     """(n,) [rad]; zero where the prior aims at none."""
     dead_ends: NDArray[np.bool_]
-    """(n,): which genomes stand for no pose, though all of their genes do; their poses are zeros."""
+    """(n,): genomes that stand for no pose, though all genes are finite; their poses are zeros."""
 
 
 class Prior(ABC):
-    """How the leading genes of a genome become a hand pose."""
+    """Decodes the leading genes of a genome to a hand pose."""
 
     name: str
 
     def values(self, layout: Layout, genomes: NDArray[np.float32]) -> Floats:
-        """What genomes (n, d) in [-1, 1] stand for, in m and rad; (n, d)."""
+        """The values (n, d) of genomes (n, d) in [-1, 1], in m and rad."""
         return layout.values(genomes)
 
-    def drawn(self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface) -> PriorCandidates:
+    def candidates(
+        self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
+    ) -> PriorCandidates:
         """The candidates of genomes (n, d) whose genes stand for `genes` (n, d)."""
         return PriorCandidates(np.arange(len(genes)), genes, np.zeros((len(genes), 0)))
 
@@ -68,7 +70,7 @@ class Prior(ABC):
 
 
 ROUNDING = 1e-6
-"""How far float32 may take a unit quaternion's length from one: such poses are left as they are stored."""
+"""Deviation of a unit quaternion's length in float32; poses within it are left as stored."""
 
 
 class FixedPosePrior(Prior):

@@ -1,4 +1,4 @@
-"""Priors that look at a surface point: contact, approach and antipodal (Huber et al. 2024, section III-A).
+"""Priors that aim at a surface point: contact, approach and antipodal (Huber et al. 2024).
 
 contact and approach, eq. 1-2: theta = (x_r, y_r, z_r, nu, d, xi, omega): the finder r chooses the nearest
 surface point p with normal n; the hand stands at the distance d + w from p, in the direction that leans from
@@ -29,7 +29,7 @@ from qdgrasp_worker.priors.base import Prior, PriorPoses
 
 
 class ConePrior(Prior):
-    """A prior that looks at the object out of a cone; how far it opens is the interval of the gene nu."""
+    """A prior that looks at the object out of a cone, opened by the interval of the gene nu."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -47,13 +47,13 @@ class ConePrior(Prior):
 
 
 def lean_from(normals: Floats, nu: Floats, xi: Floats) -> Floats:
-    """Unit vectors (n, 3) that lean from `normals` by `nu` (n,) [rad], turned about them by `xi` (n,)."""
+    """Unit vectors (n, 3): `normals` leant by `nu` (n,) [rad], turned about them by `xi` (n,)."""
     aside, _ = turned(*tangents(normals), xi)
     return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
 
 
 def look_along(directions: Floats, omega: Floats, hand: SceneGripper) -> Floats:
-    """The rotations (n, 4) that turn the hand's approach axis to `directions` and roll it by `omega` (n,)."""
+    """Rotations (n, 4) of the hand's approach axis to `directions`, rolled by `omega` (n,)."""
     axis = np.array([hand.approach_axis], dtype=np.float64)
     at_rest = from_frame(*tangents(axis), axis)
     return multiply(

@@ -15,9 +15,9 @@ from qdgrasp_worker.replay import renderer
 from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import World
 
-STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next,
-FRAME_SECONDS = 0.08  # seconds
-"""which is shown this long: what is filmed is 3.2 times slower than it was."""
+STEPS_PER_FRAME = 6  # Steps, at 240 Hz, from one frame to the next
+FRAME_SECONDS = 0.08
+"""Seconds for which a frame is shown: 3.2 times slower than simulated."""
 REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
 PARTS: dict[ReplayPart, tuple[str, ...]] = {
     "all": ("placed", "closing", "shake z", "shake x"),
@@ -27,45 +27,39 @@ PARTS: dict[ReplayPart, tuple[str, ...]] = {
 
 
 class TimedSnapshot(NamedTuple):
-    """A moment that is shown."""
+    """A snapshot that is shown."""
 
-    moment: Snapshot
+    snapshot: Snapshot
     seconds: float
 
 
-def still_snapshot(moments: Sequence[Snapshot]) -> Snapshot:
+def still_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
     """The hand after closing; where it did not close, as it was placed."""
-    return [moment for moment in moments if moment.phase in PARTS["closing"]][-1]
+    return [snapshot for snapshot in snapshots if snapshot.phase in PARTS["closing"]][-1]
 
 
-def animation(moments: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
-    """What is shown of the moments of an evaluation, in their order.
-
-    Raises
-    ------
-    InputError
-        There is nothing of that part.
-    """
-    chosen = [moment for moment in moments if moment.phase in PARTS[what]]
+def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
+    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen."""
+    chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
     if not chosen:
         raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
     return list(_timed_snapshots(chosen))
 
 
-def _timed_snapshots(moments: Sequence[Snapshot]) -> Iterator[TimedSnapshot]:
+def _timed_snapshots(snapshots: Sequence[Snapshot]) -> Iterator[TimedSnapshot]:
     """Every so many steps one, and the last of each phase."""
-    for moment, following in zip(moments, [*moments[1:], None], strict=True):
-        is_last = following is None or following.phase != moment.phase
-        rests = following is None or (is_last and moment.phase in PARTS["closing"])
-        if is_last or moment.step % STEPS_PER_FRAME == 0:
-            yield TimedSnapshot(moment, REST_SECONDS if rests else FRAME_SECONDS)
+    for snapshot, following in zip(snapshots, [*snapshots[1:], None], strict=True):
+        is_last = following is None or following.phase != snapshot.phase
+        rests = following is None or (is_last and snapshot.phase in PARTS["closing"])
+        if is_last or snapshot.step % STEPS_PER_FRAME == 0:
+            yield TimedSnapshot(snapshot, REST_SECONDS if rests else FRAME_SECONDS)
 
 
 PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
 
 
 class RecordingWorld(World):
-    """A world that is asked for the moments of its last evaluation; a context manager that leaves it."""
+    """A world that records its last evaluation; a context manager that leaves it."""
 
     _is_watching = False  # while the world is made its hand closes on nothing
     _phase: Phase = "placed"
@@ -77,7 +71,7 @@ class RecordingWorld(World):
         self.joints = [links[joint].joint for joint in self._joints]
         """The names of all joints that move."""
         self._links = {BASE: "root"} | {number: link.link for number, link in enumerate(links)}
-        self.moments: list[Snapshot] = []
+        self.snapshots: list[Snapshot] = []
         self._is_watching = True
 
     def __enter__(self) -> Self:
@@ -93,14 +87,14 @@ class RecordingWorld(World):
         super().reset(pose, posture, frictions)
         self._root = pose.position, pose.quaternion
         if self._is_watching:
-            self.moments.clear()
+            self.snapshots.clear()
             self._begin("placed")
 
     def set_fingers(self, posture: Sequence[float]) -> None:
         """Put the finger joints at `posture`; the contacts are still those of the look before."""
         super().set_fingers(posture)
-        placed = self.moments.pop()
-        self.moments.append(replace(self._now(), touches=placed.touches))
+        placed = self.snapshots.pop()
+        self.snapshots.append(replace(self._now(), touches=placed.touches))
 
     def close_fingers(self, synergy: int) -> None:
         """Command the fingers to close."""
@@ -119,14 +113,14 @@ class RecordingWorld(World):
         super().step()
         if self._is_watching:
             self._step += 1
-            self.moments.append(self._now())
+            self.snapshots.append(self._now())
 
     def _begin(self, phase: Phase) -> None:
         self._phase, self._step = phase, 0
-        self.moments.append(self._now())
+        self.snapshots.append(self._now())
 
     def _now(self) -> Snapshot:
-        """What there is."""
+        """The present state."""
         hand, target = self._hand.body, self._target.body
         return Snapshot(
             self._phase,

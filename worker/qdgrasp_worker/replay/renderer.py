@@ -23,13 +23,13 @@ from qdgrasp_worker.world import HandBody, load_body
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What there was before a step, or behind it."""
+    """State of hand and object before or after a step."""
 
     phase: Phase
     step: int
     """Steps since the phase began."""
     root: tuple[list[float], list[float]]
-    """Position [m] and quaternion xyzw of the carrier's root link, the object's CoM frame at first."""
+    """Position [m] and quaternion xyzw of the carrier's root link, object's CoM frame at first."""
     joints: list[float]
     """Positions of all joints that move [rad or m], in the order of `RecordingWorld.joints`."""
     object: tuple[list[float], list[float]]
@@ -41,7 +41,7 @@ class Snapshot:
 FIELD_OF_VIEW = np.radians(28.0)  # Of view, from the lower to the upper edge
 FILLED_SHARE = 0.94  # How much of the picture is filled, to the farthest point
 NEAR, FAR = 0.1, 10.0
-"""What is drawn, as shares of the distance [-]."""
+"""Bounds of the drawn depth, as shares of the distance [-]."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class CameraMatrices:
     """(4, 4): from the camera to clip coordinates."""
 
     def camera(self, width: int, height: int) -> ReplayCamera:
-        """As whoever draws over its pictures is told of it."""
+        """The camera in the form of a replay's answer, for drawing over its pictures."""
         matrix = self.projection @ self.view
         return ReplayCamera(
             azimuth=self.azimuth,
@@ -70,13 +70,7 @@ class CameraMatrices:
 
 
 def fit_camera(points: Floats, azimuth: float, elevation: float, aspect: float) -> CameraMatrices:
-    """The nearest one that has all of `points` (n, 3) [m] in its picture.
-
-    Parameters
-    ----------
-    aspect
-        Of the picture: width over height.
-    """
+    """The nearest camera with all `points` (n, 3) [m] in a picture of this width over height."""
     axes = _camera_axes(np.radians(azimuth), np.radians(elevation))
     right, up, back = (points @ axes.T).T
     slope = np.tan(FIELD_OF_VIEW / 2) * FILLED_SHARE
@@ -91,7 +85,7 @@ def fit_camera(points: Floats, azimuth: float, elevation: float, aspect: float) 
 
 
 def _camera_axes(azimuth: float, elevation: float) -> Floats:
-    """The camera's axes (3, 3), one in each row: to the right, upward, and back to where it stands."""
+    """The camera's axes (3, 3), a row each: to the right, upward, and back to the camera."""
     back = [
         np.cos(elevation) * np.cos(azimuth),
         np.cos(elevation) * np.sin(azimuth),
@@ -117,7 +111,7 @@ CLAY, STEEL, BLUE = (0.93, 0.84, 0.70, 1.0), (0.66, 0.70, 0.75, 1.0), (0.21, 0.4
 """The object, the hand, and those of its links whose touch makes a success."""
 LIGHT_SETTINGS = {"lightAmbientCoeff": 0.58, "lightDiffuseCoeff": 0.46, "lightSpecularCoeff": 0.03}
 LIGHT_DIRECTION = (-0.5, 1.0, 1.0)
-"""Whence the light comes, in the camera's axes: over the left shoulder of whoever looks."""
+"""Direction to the light in the camera's axes: over the viewer's left shoulder."""
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><geometry><mesh filename="shape.obj"/></geometry></collision>
@@ -139,12 +133,8 @@ def contact_points(
 ) -> tuple[ContactPoint, ...]:
     """The contacts of a hand with an object, of the last collision detection.
 
-    Parameters
-    ----------
-    links
-        The names of the hand's links by number.
-    fingers
-        The numbers of those whose touch makes a success.
+    `links` are the names of the hand's links by number, `fingers` the numbers of those whose touch makes a
+    success.
     """
     found = pb.getContactPoints(hand, target, physicsClientId=bullet._client)
     return tuple(
@@ -161,21 +151,18 @@ def contact_points(
 
 @dataclass(frozen=True)
 class SegmentationMask:
-    """What stands where in a picture."""
+    """The body and link at each pixel of a picture."""
 
     links: NDArray[np.int64]
-    """(rows, columns): the hand's link that is seen there, -1 its root; `NOTHING` where there is none."""
+    """(rows, columns): the hand's link seen there, -1 its root; `NO_LINK` off the hand."""
     is_object: NDArray[np.bool_]
     """(rows, columns): where the object is seen."""
 
 
 class Renderer:
-    """A scene to be looked at; a context manager that leaves it.
+    """Pictures of a scene; a context manager that leaves it.
 
-    Parameters
-    ----------
-    parts
-        Whether the object is drawn as its convex parts, instead of its surface.
+    The object is drawn as its convex `parts`, or as its surface.
     """
 
     def __init__(self, scene: Scene, *, parts: bool = False) -> None:
@@ -197,14 +184,14 @@ class Renderer:
         """The links whose touch makes a success."""
         return self._hand.finger_links
 
-    def show(self, moment: Snapshot) -> None:
+    def place(self, snapshot: Snapshot) -> None:
         """Put hand and object where they were."""
-        self._bullet.place(self._hand.body, *moment.root)
-        self._bullet.set_joints(self._hand.body, self._joints, moment.joints)
-        self._bullet.place(self._target, *moment.object)
+        self._bullet.place(self._hand.body, *snapshot.root)
+        self._bullet.set_joints(self._hand.body, self._joints, snapshot.joints)
+        self._bullet.place(self._target, *snapshot.object)
 
     def corners(self) -> Floats:
-        """(n, 3) [m]: the corners of boxes that hold all that is there; the object's eight stand last."""
+        """(n, 3) [m]: corners of boxes that hold all bodies; the object's eight stand last."""
         self._bullet.detect()
         boxes = [self._bullet.box(self._hand.body, link) for link in self._hand.shaped_links]
         lows, highs = np.moveaxis(np.array([*boxes, self._bullet.box(self._target, BASE)]), 1, 0)
@@ -212,16 +199,16 @@ class Renderer:
         corners: Floats = np.where(is_high, highs[:, None], lows[:, None]).reshape(-1, 3)
         return corners
 
-    def look(self, lens: CameraMatrices, width: int, height: int) -> NDArray[np.uint8]:
+    def draw(self, camera: CameraMatrices, width: int, height: int) -> NDArray[np.uint8]:
         """Draw what is there: (rows, columns, 3)."""
-        colours, _ = self._see(lens, width, height, shadow=False, flags=pb.ER_NO_SEGMENTATION_MASK)
+        colours, _ = self._see(camera, width, height, shadow=False, flags=pb.ER_NO_SEGMENTATION_MASK)
         image: NDArray[np.uint8] = colours.astype(np.uint8).reshape(height, width, 4)[:, :, :3]
         return image
 
-    def tell(self, lens: CameraMatrices, width: int, height: int) -> SegmentationMask:
-        """What stands where in the picture of what is there."""
+    def segment(self, camera: CameraMatrices, width: int, height: int) -> SegmentationMask:
+        """Return the body and link at each pixel of the present picture."""
         flags = pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX
-        _, mask = self._see(lens, width, height, shadow=False, flags=flags)
+        _, mask = self._see(camera, width, height, shadow=False, flags=flags)
         numbers = mask.astype(np.int64).reshape(height, width)
         bodies, links = numbers & ((1 << LINK_BITS) - 1), (numbers >> LINK_BITS) - 1
         is_there = numbers >= 0
@@ -229,15 +216,15 @@ class Renderer:
         return SegmentationMask(np.where(is_hand, links, NO_LINK), is_there & (bodies == self._target))
 
     def _see(
-        self, lens: CameraMatrices, width: int, height: int, *, shadow: bool, flags: int
+        self, camera: CameraMatrices, width: int, height: int, *, shadow: bool, flags: int
     ) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
         """The colours and the mask of a picture."""
         _, _, colours, _, mask = pb.getCameraImage(
             width,
             height,
-            viewMatrix=lens.view.T.ravel().tolist(),
-            projectionMatrix=lens.projection.T.ravel().tolist(),
-            lightDirection=(lens.view[:3, :3].T @ LIGHT_DIRECTION).tolist(),
+            viewMatrix=camera.view.T.ravel().tolist(),
+            projectionMatrix=camera.projection.T.ravel().tolist(),
+            lightDirection=(camera.view[:3, :3].T @ LIGHT_DIRECTION).tolist(),
             shadow=shadow,
             flags=flags,
             renderer=pb.ER_TINY_RENDERER,
@@ -256,7 +243,7 @@ class Renderer:
 
 
 def surface_obj(target: SceneObject) -> bytes:
-    """An object's surface as an OBJ file, each triangle with corners of its own, so that edges stay sharp."""
+    """An object's surface as an OBJ file; triangles share no corners, so that edges stay sharp."""
     corners = target.triangles.reshape(-1, 3).tolist()
     vertices = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
     faces = [f"f {first} {first + 1} {first + 2}" for first in range(1, len(corners), 3)]
@@ -270,34 +257,40 @@ PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture that is only counted
 
 
 def camera_around(
-    eye: Renderer, moments: Sequence[Snapshot], still: Snapshot, view: tuple[float, float], aspect: float
+    renderer: Renderer,
+    snapshots: Sequence[Snapshot],
+    still: Snapshot,
+    view: tuple[float, float],
+    aspect: float,
 ) -> CameraMatrices:
-    """The lens that has all of `moments` in its picture."""
-    return fit_camera(corners_around(eye, moments, still), *view, aspect)
+    """The camera that has all of `snapshots` in its picture."""
+    return fit_camera(corners_around(renderer, snapshots, still), *view, aspect)
 
 
-def best_view(eye: Renderer, still: Snapshot) -> tuple[float, float]:
-    """Azimuth and elevation [deg] from where the most is seen of both the fingers and the object."""
-    corners = corners_around(eye, [still], still)
-    eye.show(still)
+def best_view(renderer: Renderer, still: Snapshot) -> tuple[float, float]:
+    """Azimuth and elevation [deg] from which the most of both fingers and object is seen."""
+    corners = corners_around(renderer, [still], still)
+    renderer.place(still)
     views = list(product(AZIMUTHS, ELEVATIONS))
-    scores = [_score(eye, fit_camera(corners, *view, PREVIEW_SIZE[0] / PREVIEW_SIZE[1])) for view in views]
+    scores = [
+        _score(renderer, fit_camera(corners, *view, PREVIEW_SIZE[0] / PREVIEW_SIZE[1])) for view in views
+    ]
     azimuth, elevation = views[int(np.argmax(scores))]
     return float(azimuth), float(elevation)
 
 
-def corners_around(eye: Renderer, moments: Iterable[Snapshot], still: Snapshot) -> Floats:
-    """(n, 3) [m]: corners around hand and object in all moments; an object that is lost is not followed."""
-    eye.show(still)
-    corners = [eye.corners()]
-    for moment in moments:
-        eye.show(moment)
-        here = eye.corners()
-        corners.append(here if moment.touches else here[:OBJECT_CORNERS])
+def corners_around(renderer: Renderer, snapshots: Iterable[Snapshot], still: Snapshot) -> Floats:
+    """(n, 3) [m]: corners around hand and object in all snapshots, without a lost object."""
+    renderer.place(still)
+    corners = [renderer.corners()]
+    for snapshot in snapshots:
+        renderer.place(snapshot)
+        here = renderer.corners()
+        corners.append(here if snapshot.touches else here[:OBJECT_CORNERS])
     return np.concatenate(corners)
 
 
-def _score(eye: Renderer, seen_by: CameraMatrices) -> float:
-    seen = eye.tell(seen_by, *PREVIEW_SIZE)
-    fingers = np.isin(seen.links, list(eye.fingers)).sum()
+def _score(renderer: Renderer, seen_by: CameraMatrices) -> float:
+    seen = renderer.segment(seen_by, *PREVIEW_SIZE)
+    fingers = np.isin(seen.links, list(renderer.fingers)).sum()
     return float(fingers * seen.is_object.sum())

@@ -55,13 +55,7 @@ MakeFrames = Callable[[int, int, int], Frames]
 
 
 class EpisodeReplay:
-    """One evaluation, carried out again.
-
-    Raises
-    ------
-    AssetError
-        Bullet cannot load the scene.
-    """
+    """One evaluation, carried out again; an AssetError if Bullet cannot load the scene."""
 
     def __init__(self, scene: Scene, request: ReplayRequest) -> None:
         self._scene = scene
@@ -69,51 +63,39 @@ class EpisodeReplay:
         with RecordingWorld(scene) as world:
             episode = Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
             self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
-            self.moments = world.moments
+            self.snapshots = world.snapshots
             self._joints = world.joints
         self._robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314  # the scene's own
 
-    def takes(self) -> list[TimedSnapshot]:
-        """What is shown of it.
-
-        Raises
-        ------
-        InputError
-            The part that is asked for did not happen.
-        """
+    def frames(self) -> list[TimedSnapshot]:
+        """The snapshots to show; an InputError if the part that is asked for did not happen."""
         if self._request.what is None:
-            return [TimedSnapshot(still_snapshot(self.moments), REST_SECONDS)]
-        return animation(self.moments, self._request.what, self.verdict.outcome)
+            return [TimedSnapshot(still_snapshot(self.snapshots), REST_SECONDS)]
+        return animation(self.snapshots, self._request.what, self.verdict.outcome)
 
-    def draw(self, make: MakeFrames) -> ReplayAnswer:
-        """Draw what is asked for into frames that `make` makes room for.
-
-        Raises
-        ------
-        InputError
-            The part that is asked for did not happen.
-        """
-        request, takes = self._request, self.takes()
+    def render(self, make: MakeFrames) -> ReplayAnswer:
+        """Draw into frames that `make` makes room for; an InputError as of `frames`."""
+        request, shown = self._request, self.frames()
         width, height = request.width, request.height
-        with Renderer(self._scene, parts=request.parts) as eye:
-            grasp = still_snapshot(self.moments)
-            view = request.view or best_view(eye, grasp)
-            lens = camera_around(eye, [take.moment for take in takes], grasp, view, width / height)
-            frames = make(len(takes), height, width)
-            for frame, take in zip(frames, takes, strict=True):
-                eye.show(take.moment)
-                frame[...] = downsample(eye.look(lens, OVERSAMPLING * width, OVERSAMPLING * height))
-        return self._answer(takes, lens.camera(width, height))
+        with Renderer(self._scene, parts=request.parts) as renderer:
+            grasp = still_snapshot(self.snapshots)
+            view = request.view or best_view(renderer, grasp)
+            camera = camera_around(renderer, [timed.snapshot for timed in shown], grasp, view, width / height)
+            frames = make(len(shown), height, width)
+            for frame, timed in zip(frames, shown, strict=True):
+                renderer.place(timed.snapshot)
+                frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
+        return self._answer(shown, camera.camera(width, height))
 
-    def hand(self, moment: Snapshot) -> replay.Pose:
+    def hand(self, snapshot: Snapshot) -> replay.Pose:
         """The pose of the hand's base link."""
         root = np.eye(4)
-        root[:3, :3] = Rotation.from_quat(moment.root[1]).as_matrix()
-        root[:3, 3] = moment.root[0]
-        positions = dict(zip(self._joints, moment.joints, strict=True))
+        root[:3, :3] = Rotation.from_quat(snapshot.root[1]).as_matrix()
+        root[:3, 3] = snapshot.root[0]
+        positions = dict(zip(self._joints, snapshot.joints, strict=True))
         return pose_of_frame(self._robot.forward(positions, root)[self._scene.gripper.base_link])
 
-    def _answer(self, takes: list[TimedSnapshot], camera: ReplayCamera) -> ReplayAnswer:
+    def _answer(self, shown: list[TimedSnapshot], camera: ReplayCamera) -> ReplayAnswer:
         found = self.verdict
         return ReplayAnswer(
             outcome=found.outcome,
@@ -122,30 +104,30 @@ class EpisodeReplay:
             contacts=found.contacts,
             penetration=found.penetration,
             camera=camera,
-            shots=tuple(self._shot(take) for take in takes),
+            shots=tuple(self._frame(timed) for timed in shown),
         )
 
-    def _shot(self, take: TimedSnapshot) -> ReplayFrame:
-        moment = take.moment
+    def _frame(self, timed: TimedSnapshot) -> ReplayFrame:
+        snapshot = timed.snapshot
         return ReplayFrame(
-            phase=moment.phase,
-            step=moment.step,
-            seconds=take.seconds,
-            hand=self.hand(moment),
-            object=make_pose(*moment.object),
-            touches=moment.touches,
+            phase=snapshot.phase,
+            step=snapshot.step,
+            seconds=timed.seconds,
+            hand=self.hand(snapshot),
+            object=make_pose(*snapshot.object),
+            touches=snapshot.touches,
         )
 
 
 def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
-    """What is simulated."""
+    """The grasp to simulate, disturbed by its trial."""
     genome = np.array([request.genome], dtype=np.float32)
     grasp = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)[0]
     return PROTOCOLS[scene.protocol].trial(grasp, request.trial)
 
 
 def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The means of squares of `FINE` by `FINE` pixels."""
+    """The means of squares of `OVERSAMPLING` by `OVERSAMPLING` pixels."""
     parts = [
         image[row::OVERSAMPLING, column::OVERSAMPLING]
         for row in range(OVERSAMPLING)
@@ -183,7 +165,7 @@ def replay_folder(folder: Path) -> None:
         stop.tell(lambda: os._exit(stop.exit_code))  # nothing is left behind but a folder that is thrown away
         try:
             request = msgspec.json.decode((folder / REQUEST).read_bytes(), type=ReplayRequest)
-            answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).draw(make)
+            answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).render(make)
             (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
         except OSError as error:
             raise InputError(

@@ -1,4 +1,4 @@
-"""Requests to coordinators in background threads, and the events that come to a worker's inbox.
+"""Requests to coordinators in background threads: joins, and scene bundles with caches.
 
 Joins and scenes are asked for in a thread each, so that nothing waits for them. Scene bundles are fetched by
 digest, checked, kept on disk, and kept in memory until the simulator has them.
@@ -13,67 +13,47 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from queue import SimpleQueue
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import structlog
 
 from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.bus import Bus, Sample
+from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import NoReply, QdgraspError
 from qdgrasp_protocol.keys import DIGEST, Keys
 from qdgrasp_protocol.messages import Join, Joined
-from qdgrasp_worker.runtime.simulator_supervisor import SimulatorEvent
 
-MAX_STORE_SIZE = 2 << 30  # What the scenes on disk may take together [bytes]
+MAX_STORE_SIZE = 2 << 30  # Size of all scenes on disk [bytes], at most
 
 
 class SceneStore:
-    """Scene bundles by digest.
-
-    Parameters
-    ----------
-    folder
-        Where bundles are kept between processes; None: nowhere.
-    """
+    """Scene bundles by digest in a folder that other processes use too; None: they are not kept."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
     def bundle(self, bus: Bus, job: str, digest: str) -> bytes:
-        """The bytes of a scene, from disk or from the job's coordinator.
-
-        Raises
-        ------
-        NoReply, Refused
-            The coordinator does not answer, or has no such scene.
-        MessageError
-            What came is not the scene of that digest.
-        """
-        payload = self._kept(digest)
+        """Return the bytes of a scene, from disk or from the job's coordinator (`fetch_bundle`)."""
+        payload = None if self._folder is None else _read(self._folder / digest)
         if payload is None:
             payload = bundle_transfer.fetch_bundle(bus, job, digest)
-            self._keep(digest, payload)
+            if self._folder is not None:
+                with suppress(OSError):  # a cache that cannot be written is only slower
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                    _write(self._folder, digest, payload)
+                    _make_room(self._folder)
         return payload
 
-    def _kept(self, digest: str) -> bytes | None:
-        if self._folder is None:
-            return None
-        with suppress(OSError):
-            payload = (self._folder / digest).read_bytes()
-            if hashlib.sha256(payload).hexdigest() == digest:
-                with suppress(OSError):  # a folder of others
-                    os.utime(self._folder / digest)
-                return payload
-        return None
 
-    def _keep(self, digest: str, payload: bytes) -> None:
-        if self._folder is None:
-            return
-        with suppress(OSError):  # a cache that cannot be written is only slower
-            self._folder.mkdir(parents=True, exist_ok=True)
-            _write(self._folder, digest, payload)
-            _make_room(self._folder)
+def _read(path: Path) -> bytes | None:
+    """The bundle in a file named by its digest; None: there is no such file, or it is damaged."""
+    with suppress(OSError):
+        payload = path.read_bytes()
+        if hashlib.sha256(payload).hexdigest() == path.name:
+            with suppress(OSError):  # a folder of others
+                os.utime(path)
+            return payload
+    return None
 
 
 def _write(folder: Path, name: str, payload: bytes) -> None:
@@ -101,13 +81,13 @@ def _make_room(folder: Path) -> None:
 
 log = structlog.get_logger()
 
-JOIN_SECONDS = 2.0  # How long an answer to a join is waited for
+JOIN_SECONDS = 2.0  # Seconds to wait for the answer to a join
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class JoinAnswered:
-    """What came of a join."""
+    """The answer to a join, or the error in its place."""
 
     job: str
     number: int
@@ -117,7 +97,7 @@ class JoinAnswered:
 
 @dataclass(frozen=True)
 class SceneAnswered:
-    """What came of looking for a scene."""
+    """A scene's bundle, or the error in its place."""
 
     job: str
     scene: str
@@ -128,11 +108,11 @@ RequestAnswered = JoinAnswered | SceneAnswered
 
 
 class BackgroundRequests:
-    """Runs errands, and reports each to `report`, from its thread."""
+    """Carries out requests in threads, and reports each answer to `report` from its thread."""
 
-    def __init__(self, bus: Bus, bundles: SceneStore, report: Callable[[RequestAnswered], None]) -> None:
+    def __init__(self, bus: Bus, store: SceneStore, report: Callable[[RequestAnswered], None]) -> None:
         self._bus = bus
-        self._bundles = bundles
+        self._store = store
         self._report = report
 
     def join(self, job: str, join: Join) -> None:
@@ -142,18 +122,18 @@ class BackgroundRequests:
             payload = self._bus.ask(Keys(job).join, messages.encode(join), timeout=JOIN_SECONDS)
             return messages.decode(payload, Joined)
 
-        self._go(lambda: JoinAnswered(job, join.number, _result_or_error(ask)))
+        self._start(lambda: JoinAnswered(job, join.number, _result_or_error(ask)))
 
     def fetch(self, job: str, scene: str) -> None:
         """Get a scene, from disk or from a coordinator."""
-        self._go(
-            lambda: SceneAnswered(
-                job, scene, _result_or_error(lambda: self._bundles.bundle(self._bus, job, scene))
-            )
-        )
 
-    def _go(self, errand: Callable[[], RequestAnswered]) -> None:
-        threading.Thread(target=lambda: self._report(errand()), name="errand", daemon=True).start()
+        def fetch() -> bytes:
+            return self._store.bundle(self._bus, job, scene)
+
+        self._start(lambda: SceneAnswered(job, scene, _result_or_error(fetch)))
+
+    def _start(self, request: Callable[[], RequestAnswered]) -> None:
+        threading.Thread(target=lambda: self._report(request()), name="request", daemon=True).start()
 
 
 def _result_or_error(act: Callable[[], T]) -> T | QdgraspError:
@@ -167,56 +147,32 @@ def _result_or_error(act: Callable[[], T]) -> T | QdgraspError:
 
 
 MAX_SCENES = 8
-"""So many scenes are kept here; the one that came first goes first, and is looked for again if need be."""
+"""Scenes kept in memory; the oldest goes first, and is requested again if need be."""
 
 
 class SceneCache:
-    """Bundles by digest, on their way."""
+    """Scene bundles by digest, in memory until the simulator takes them."""
 
-    def __init__(self, errands: BackgroundRequests) -> None:
-        self._errands = errands
+    def __init__(self, requests: BackgroundRequests) -> None:
+        self._requests = requests
         self._bundles: OrderedDict[str, bytes] = OrderedDict()
-        self._sought: set[str] = set()
+        self._requested: set[str] = set()
 
-    def has(self, job: str, digest: str) -> bool:
-        """Whether a scene is here; where it is not, it is being looked for now."""
-        if digest not in self._bundles and digest not in self._sought:
-            self._sought.add(digest)
-            self._errands.fetch(job, digest)
+    def has_or_request(self, job: str, digest: str) -> bool:
+        """Return whether a scene is here; if it is not, it is requested now."""
+        if digest not in self._bundles and digest not in self._requested:
+            self._requested.add(digest)
+            self._requests.fetch(job, digest)
         return digest in self._bundles
 
-    def came(self, fetched: SceneAnswered) -> None:
-        """Take what came of looking for a scene; what was not found is looked for again when it is needed."""
-        self._sought.discard(fetched.scene)
-        if isinstance(fetched.bundle, bytes):
-            self._bundles[fetched.scene] = fetched.bundle
+    def on_answer(self, answered: SceneAnswered) -> None:
+        """Take a scene; one that was not found is requested again when it is needed."""
+        self._requested.discard(answered.scene)
+        if isinstance(answered.bundle, bytes):
+            self._bundles[answered.scene] = answered.bundle
             if len(self._bundles) > MAX_SCENES:
                 self._bundles.popitem(last=False)
 
-    def take(self, digest: str) -> bytes:
-        """A scene that is here, for the simulator."""
+    def pop(self, digest: str) -> bytes:
+        """Return a scene that is here, and forget it."""
         return self._bundles.pop(digest)
-
-
-@dataclass(frozen=True)
-class CoordinatorSeen:
-    """A coordinator's token appeared or vanished."""
-
-    key: str
-    is_alive: bool
-
-
-@dataclass(frozen=True)
-class LinkChanged:
-    """A transport of this session came up or went down."""
-
-    is_up: bool
-
-
-@dataclass(frozen=True)
-class StopRequested:
-    """The process is asked to stop."""
-
-
-Event = Sample | CoordinatorSeen | LinkChanged | StopRequested | RequestAnswered | SimulatorEvent
-Inbox: TypeAlias = "SimpleQueue[Event]"

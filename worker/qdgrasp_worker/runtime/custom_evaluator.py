@@ -18,59 +18,46 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import AIMED, descriptors, layout
+from qdgrasp_assets.genes import AIMED
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.evaluator import REASON_LENGTH, Evaluation, Evaluator, row_refusals
-from qdgrasp_worker.object_geometry import ObjectSurface
+from qdgrasp_worker.decoder import DecodedGrasps
+from qdgrasp_worker.evaluator import (
+    REASON_LENGTH,
+    ROWS_AT_ONCE,
+    BatchEvaluator,
+    Evaluation,
+    row_refusals,
+)
 from qdgrasp_worker.platform import code_digest
-from qdgrasp_worker.protocols import PROTOCOLS
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
-from qdgrasp_worker.runtime.simulator_main import ROWS_AT_ONCE
 from qdgrasp_worker.runtime.simulator_main import main as serve
 
 Failures = list[tuple[int, str]]
 
 
-class CustomEvaluator:
-    """What `Evaluator` is to Bullet, for one scene.
-
-    Parameters
-    ----------
-    make
-        Makes the judge, which is closed with this if it can be.
-    """
+class CustomEvaluator(BatchEvaluator):
+    """Evaluates one scene by a user's function, made by `make` and closed with this."""
 
     def __init__(self, scene: Scene, make: EvaluatorFactory) -> None:
-        self.scene = scene
+        super().__init__(scene)
         self._judge: EvaluatorFn = make(scene)
-        self._protocol = PROTOCOLS[scene.protocol]
-        self._surface = ObjectSurface(scene)
-        self._decoders: dict[str, Decoder] = {}
         self.at_once = max(1, int(getattr(self._judge, "at_once", ROWS_AT_ONCE)))
-        """How many rows it is shown at once, at most; the judge says it."""
 
     def close(self) -> None:
-        """Let the judge go."""
+        """Close the user's function if it can be closed."""
         getattr(self._judge, "close", lambda: None)()
 
     def shape(self, prior: str) -> RowShape:
-        """How wide the rows of this scene are with genomes of `prior`.
-
-        Raises
-        ------
-        InputError
-            The prior leaves a choice to the evaluator, which only ours takes.
-        """
+        """As `BatchEvaluator.shape`; an InputError if the prior leaves a choice to the simulator."""
         if prior == AIMED:
             raise InputError(
                 f"Genomes of the prior '{prior}' stand for candidates, which only the simulator of this "
                 "package chooses among; take a method with another prior (`qdgrasp methods`)."
             )
-        return RowShape(len(layout(self.scene, prior)), len(self.scene.gripper.joints), descriptors(prior))
+        return super().shape(prior)
 
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
         """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
@@ -84,11 +71,6 @@ class CustomEvaluator:
             failures += self._judged(rows, self._hands(prior, genomes, trials, grasps, asked), asked)
         return Evaluation(rows, sorted(failures))
 
-    def _decoder(self, prior: str) -> Decoder:
-        if prior not in self._decoders:
-            self._decoders[prior] = Decoder(self.scene, prior, self._surface)
-        return self._decoders[prior]
-
     def _hands(
         self,
         prior: str,
@@ -97,7 +79,7 @@ class CustomEvaluator:
         grasps: DecodedGrasps,
         places: NDArray[np.intp],
     ) -> Hands:
-        """What is to be judged, each as its trial disturbs it."""
+        """The hands to be judged, each as its trial disturbs it."""
         disturbed = [self._protocol.trial(grasps[i], int(trials[i])) for i in places]
         usual = (self.scene.object.rolling_friction, self.scene.object.spinning_friction)
         poses = [[*trial.pose.position, *trial.pose.quaternion] for trial in disturbed]
@@ -150,13 +132,7 @@ def _clear_failed_row(rows: Rows, place: int) -> None:
 
 
 def load_evaluator(what: str) -> tuple[EvaluatorFactory, Path]:
-    """The evaluator that is named, and the file that it stands in.
-
-    Raises
-    ------
-    InputError
-        There is none of that name, or its module cannot be loaded.
-    """
+    """Return the evaluator of that name and its file; an InputError if it cannot be loaded."""
     where, _, name = what.rpartition(":")
     try:
         module = _module_from_file(Path(where)) if where.endswith(".py") else import_module(where)
@@ -169,7 +145,7 @@ def load_evaluator(what: str) -> tuple[EvaluatorFactory, Path]:
 
 
 def _module_from_file(path: Path) -> ModuleType:
-    """The module in a file, which imports what lies beside it; what it does as a script, it does not."""
+    """Load the module in a file, which may import its neighbours; it is not run as a script."""
     sys.path.insert(0, str(path.parent))
     spec = spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
@@ -180,7 +156,7 @@ def _module_from_file(path: Path) -> ModuleType:
 
 
 def custom_platform(what: str, file: Path) -> dict[str, str]:
-    """What decides the bits of results: the evaluator's file, and how poses are decoded."""
+    """All that decides the bits of results: the evaluator's file, and the decoding code."""
     return {
         "qdgrasp": version("qdgrasp"),
         "numpy": version("numpy"),
@@ -201,9 +177,9 @@ def main() -> None:
         found.append(load_evaluator(what))
         return custom_platform(what, found[0][1])
 
-    def evaluator(bundle: bytes) -> Evaluator:
+    def evaluator(bundle: bytes) -> BatchEvaluator:
         messages.check_bundle(bundle)
-        return cast(Evaluator, CustomEvaluator(unpack_scene(bundle), found[0][0]))
+        return CustomEvaluator(unpack_scene(bundle), found[0][0])
 
     serve(load=evaluator, probe=probe)
 

@@ -1,4 +1,4 @@
-"""Interface of custom evaluators: hands in, verdicts out, as arrays, with nothing of a simulator."""
+"""Interface of custom evaluators: hands in, verdicts out, as arrays, without any simulator."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,8 +17,10 @@ class Hands:
     """Hands that are to close on the object of a scene: n of them, each a row of every array."""
 
     base_to_object: NDArray[np.float32]
-    """(n, 7): the hand's root link in the object's centre-of-mass frame, x y z [m], qx qy qz qw. In a trial
-    above 0 it is that of the disturbed object."""
+    """(n, 7): hand's root link, object's centre-of-mass frame: x y z [m], qx qy qz qw.
+
+    In a trial above 0 it is that of the disturbed object.
+    """
     joints: NDArray[np.float32]
     """(n, j): finger joints that the hand starts from [rad or m], in the gripper's order."""
     synergies: NDArray[np.int64]
@@ -30,7 +32,7 @@ class Hands:
     surface_points: NDArray[np.float32]
     """(n, 3) [m], same frame: what the palm looks at; zeros where the prior aims at none."""
     prior: str
-    """What the genomes are decoded by."""
+    """The prior that the genomes are decoded by."""
     genomes: NDArray[np.float32]
     """(n, d)."""
 
@@ -52,7 +54,7 @@ class Hands:
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What became of hands: n of them, in their order."""
+    """Verdicts on hands: n of them, in their order."""
 
     outcomes: NDArray[np.integer]
     """(n,): `Outcome.OVERLAP` to `Outcome.HELD`."""
@@ -66,13 +68,7 @@ class Verdicts:
     """(n,): deepest penetration [m], 0 or positive; None: not known, zeros are recorded."""
 
     def columns(self, hands: Hands) -> dict[str, NDArray[np.generic]]:
-        """The columns of a row that they fill, checked.
-
-        Raises
-        ------
-        BadVerdict
-            One has another shape, or holds what cannot be.
-        """
+        """The columns of rows that they fill; a BadVerdict if a shape or a value is impossible."""
         n, joints = len(hands), hands.joints.shape[1]
         outcomes = _checked_array("outcomes", self.outcomes, (n,)).astype(np.int64)
         if not ((outcomes >= Outcome.OVERLAP) & (outcomes <= Outcome.HELD)).all():
@@ -90,13 +86,13 @@ class Verdicts:
 
 
 class BadVerdict(QdgraspError):
-    """What an evaluator gave is no verdict on what it was given."""
+    """An evaluator's verdict has another shape than the hands, or holds impossible values."""
 
 
 EvaluatorFn: TypeAlias = Callable[[Hands], Verdicts]
 """Says what becomes of hands; the same for the same ones, whatever it was asked before."""
 EvaluatorFactory: TypeAlias = Callable[[Scene], EvaluatorFn]
-"""Makes the judge of a scene: a class with `__init__(scene)` and `__call__(hands)`, or a function."""
+"""Makes a scene's evaluator: a class with `__init__(scene)` and `__call__`, or a function."""
 
 
 def _checked_array(

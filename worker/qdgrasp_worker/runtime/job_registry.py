@@ -1,8 +1,7 @@
-"""The jobs that a worker serves: its joins, the batches it was leased, and whose turn it is.
+"""The jobs of a worker: joining and leaving them, the batches held, and the next to serve.
 
-Rules 2 and 3 of docs/bus.md. `JobSession`, `JoinState` and `JobRegistry` are pure: no bus, no clock; time is
-passed in, in seconds of any steady clock. `JobMembership` meets coordinators, joins their jobs and leaves
-them.
+Rules 2 and 3 of docs/bus.md. `JobSession` is pure: no bus, no clock; time is passed in, in seconds of any
+steady clock. `JobRegistry` opens sessions as coordinators appear, and joins and leaves jobs on the bus.
 """
 
 import os
@@ -22,25 +21,42 @@ from qdgrasp_protocol.keys import Keys, job_of, last_chunk, parse_number
 from qdgrasp_protocol.messages import VERSION, Control, Join, Joined, Work
 from qdgrasp_worker.runtime.background_requests import BackgroundRequests, JoinAnswered
 
+ABANDON_SECONDS = 60.0  # Seconds without a coordinator after which a job of which nothing is held is closed
+RETRY_FIRST, RETRY_LAST = 0.05, 2.0
+"""Seconds between tries to join, before jitter."""
+
 
 class JobSession:
-    """One job at this worker.
+    """One job at this worker: the batches that it holds, and when to ask to join.
 
     Work counts only if it belongs to the epoch and to the join that are in force (docs/bus.md, rule 3):
     without this fence, batches that were re-queued while the link was down would be evaluated twice.
     """
 
-    def __init__(self, job: str) -> None:
+    def __init__(self, job: str, number: int = 0) -> None:
         self.job = job
         self.epoch = -1
-        self.number = 0
+        self.number = number
+        """The number of the last join."""
+        self.credit = 0
+        """The credit that was asked for last."""
+        self.is_asking = False
+        """A join is under way."""
         self.is_orphaned = False
-        """Its coordinator is gone; whoever comes next may count epochs anew."""
+        """Its coordinator is gone; the next one may count epochs anew."""
         self.is_draining = False
         """Its coordinator asked this worker to finish what it holds, and to leave."""
         self.dropped = 0
+        """Batches of another epoch or of an older join."""
         self._held: OrderedDict[bytes, Work] = OrderedDict()
         self._begun: set[bytes] = set()
+        self._coordinators: set[int] = set()
+        """Epochs of the coordinators that are there."""
+        self._left_at = 0.0
+        self._is_refused = False
+        self._retry_pause = RETRY_FIRST
+        self._join_at: float | None = None
+        self._deferred: list[Sample] = []
 
     @property
     def held(self) -> list[bytes]:
@@ -48,30 +64,118 @@ class JobSession:
         return list(self._held)
 
     @property
-    def has_joined(self) -> bool:
-        """A coordinator that is there has let this worker in."""
-        return self.epoch >= 0 and not self.is_orphaned
+    def has_coordinator(self) -> bool:
+        """True if a coordinator that this worker may follow is there."""
+        return any(self.follows(epoch) for epoch in self._coordinators)
 
-    def joining(self) -> int:
+    @property
+    def ends_at(self) -> float:
+        """The time at which it is given up, without coordinator or batch; infinite: it goes on."""
+        return inf if self._coordinators or self._held else self._left_at + ABANDON_SECONDS
+
+    @property
+    def join_at(self) -> float | None:
+        """The time to ask to join; None: there is no need, or no coordinator to ask."""
+        return self._join_at if self.has_coordinator and not self.is_asking else None
+
+    @property
+    def has_share(self) -> bool:
+        """True if this job has a share of the worker."""
+        return self.has_coordinator and not self._is_refused and not self.is_draining
+
+    @property
+    def is_drained(self) -> bool:
+        """True if the latest coordinator asked this worker to leave, and no batch is held any more."""
+        is_last = max(self._coordinators, default=-1) <= self.epoch
+        return self.is_draining and is_last and not self._held
+
+    def follows(self, epoch: int) -> bool:
+        """Return whether a coordinator of this epoch may be joined."""
+        return epoch >= self.epoch or self.is_orphaned
+
+    # Joining.
+
+    def on_coordinator(self, epoch: int, is_alive: bool, now: float) -> None:
+        """Note that a coordinator's token is there, or is gone."""
+        (self._coordinators.add if is_alive else self._coordinators.discard)(epoch)
+        self._left_at = now
+        is_left = not is_alive and epoch == self.epoch
+        self.is_orphaned |= is_left
+        if is_left or (is_alive and self.follows(epoch)):
+            self.join_soon(now)  # also where another one is there: it may have answered for the one that left
+
+    def join_soon(self, now: float) -> None:
+        """Ask to join, again if need be: the link is new, or the worker is to be known otherwise."""
+        self._is_refused = False
+        self._retry_pause = RETRY_FIRST
+        self._join_at = now
+
+    def join_later(self, now: float, jitter: float) -> None:
+        """Ask to join, after a time that doubles, times the jitter."""
+        self._join_at = now + self._retry_pause * jitter
+        self._retry_pause = min(2 * self._retry_pause, RETRY_LAST)
+
+    def set_credit(self, credit: int, now: float) -> None:
+        """Ask to join again if the credit is another one than was asked for last."""
+        has_joined = self.epoch >= 0 and not self.is_orphaned
+        if has_joined and not self._is_refused and credit != self.credit:
+            self.join_soon(now)
+
+    def is_due(self, now: float) -> bool:
+        """Return whether it is time to ask."""
+        return self.join_at is not None and self.join_at <= now
+
+    def ask(self, credit: int) -> int:
         """Begin another join; returns its number."""
+        self.is_asking = True
+        self.credit = credit
+        self._join_at = None
         self.number += 1
         return self.number
 
-    def joined(self, answer: Joined) -> bool:
-        """Take the answer to a join; False when it comes from an older coordinator than the one known."""
-        if answer.epoch < self.epoch and not self.is_orphaned:
-            return False
-        if answer.epoch != self.epoch:
-            self._held.clear()
-            self.is_draining = False
-        self.epoch = answer.epoch
-        self.is_orphaned = False
-        self._drop(answer.drop)
-        return True
+    def on_answer(self, answer: Joined, now: float, jitter: float) -> bool:
+        """Take the answer to a join; False if it is of an older coordinator than the one known.
 
-    def follows(self, epoch: int) -> bool:
-        """Whether a coordinator of this epoch may be joined."""
-        return epoch >= self.epoch or self.is_orphaned
+        The one that is known has not heard of this join then, and what it leases would not be taken: ask it
+        again, after a time that doubles, times the jitter.
+        """
+        self.is_asking = False
+        is_current = self.follows(answer.epoch)
+        if is_current:
+            if answer.epoch != self.epoch:
+                self._held.clear()
+                self.is_draining = False
+            self.epoch = answer.epoch
+            self.is_orphaned = False
+            self._drop(answer.drop)
+            self._retry_pause = RETRY_FIRST
+        else:
+            self.join_later(now, jitter)
+        self.is_orphaned |= answer.epoch == self.epoch and answer.epoch not in self._coordinators
+        return is_current
+
+    def on_no_answer(self, now: float, jitter: float) -> None:
+        """Ask again later, as no coordinator answered."""
+        self.is_asking = False
+        self.join_later(now, jitter)
+
+    def on_refusal(self) -> None:
+        """Ask no more until something changes: the job does not take this worker."""
+        self.is_asking = False
+        self._is_refused = True
+
+    def defer(self, sample: Sample) -> bool:
+        """Keep a message that came while a join is under way: its answer decides what that is worth."""
+        if self.is_asking:
+            self._deferred.append(sample)
+        return self.is_asking
+
+    def take_deferred(self) -> list[Sample]:
+        """Return the messages that were kept, in their order, and forget them."""
+        samples, self._deferred = self._deferred, []
+        return samples
+
+    # Batches.
 
     def accept(self, work: Work) -> bool:
         """Take a leased batch; False when it is of another epoch or of an older join."""
@@ -81,30 +185,21 @@ class JobSession:
         self._held[work.batch] = work
         return True
 
-    def control(self, message: Control) -> None:
-        """Drop the batches that the coordinator takes back, and begin to leave where it asks for that."""
+    def on_control(self, message: Control) -> None:
+        """Drop the batches that the coordinator takes back; begin to leave if it asks for that."""
         if message.epoch == self.epoch:
             self._drop(message.drop)
             self.is_draining |= message.drain
-
-    def holds(self, batch: bytes) -> bool:
-        """Whether the result of a batch is waited for."""
-        return batch in self._held
 
     @property
     def waiting(self) -> list[Work]:
         """The batches that are held and not begun, in the order they came."""
         return [work for batch, work in self._held.items() if batch not in self._begun]
 
-    def next(self) -> Work | None:
-        """The batch to begin now; None: none waits."""
-        return next(iter(self.waiting), None)
-
-    def begin(self) -> Work | None:
-        """The batch to begin now, as begun; it stays held until it is answered or released."""
-        work = self.next()
-        if work is not None:
-            self._begun.add(work.batch)
+    def begin(self) -> Work:
+        """Begin the first batch that waits; it stays held until it is answered or released."""
+        work = self.waiting[0]
+        self._begun.add(work.batch)
         return work
 
     def release(self, batch: bytes) -> None:
@@ -113,7 +208,7 @@ class JobSession:
         self._begun.discard(batch)
 
     def hand_back(self, keep: bytes | None) -> None:
-        """Forget all batches but one; the next join, which lists what is held, has others evaluate them."""
+        """Forget all batches but one; the next join, which lists those held, has others take them."""
         self._drop([batch for batch in self._held if batch != keep])
 
     def _drop(self, batches: list[bytes]) -> None:
@@ -121,184 +216,8 @@ class JobSession:
             self._held.pop(batch, None)
 
 
-ABANDON_SECONDS = (
-    60.0  # seconds without a coordinator after which an appointment is over, once nothing is held
-)
-RETRY_FIRST, RETRY_LAST = 0.05, 2.0
-"""Seconds between tries to join, before jitter."""
-
-
-class JoinState:
-    """A job at this worker: its desk, and when to try to join next."""
-
-    def __init__(self, job: str) -> None:
-        self.desk = JobSession(job)
-        self._there: set[int] = set()
-        self._left_at = 0.0
-        self.credit = 0
-        """The credit that was asked for last."""
-        self.is_asking = False
-        """A join is under way."""
-        self._is_refused = False
-        self._patience = RETRY_FIRST
-        self._join_at: float | None = None
-        self._held_up: list[Sample] = []
-
-    @property
-    def alive(self) -> bool:
-        """Whether a coordinator that it may follow is there."""
-        return any(self.desk.follows(epoch) for epoch in self._there)
-
-    @property
-    def ends_at(self) -> float:
-        """When it is over, as nobody is there and nothing is held; infinite: it goes on."""
-        return inf if self._there or self.desk.held else self._left_at + ABANDON_SECONDS
-
-    @property
-    def join_at(self) -> float | None:
-        """When to ask to join; None: there is no need, or nobody to ask."""
-        return self._join_at if self.alive and not self.is_asking else None
-
-    @property
-    def has_share(self) -> bool:
-        """Whether this job has a share of the worker."""
-        return self.alive and not self._is_refused and not self.desk.is_draining
-
-    @property
-    def is_dismissed(self) -> bool:
-        """The last coordinator that there is asked this worker to leave, and nothing is held any more."""
-        is_last = max(self._there, default=-1) <= self.desk.epoch
-        return self.desk.is_draining and is_last and not self.desk.held
-
-    def is_due(self, now: float) -> bool:
-        """Whether it is to be asked now."""
-        return self.join_at is not None and self.join_at <= now
-
-    def meet(self, epoch: int, alive: bool, now: float) -> None:
-        """Hear that a coordinator's token is there, or is gone."""
-        (self._there.add if alive else self._there.discard)(epoch)
-        self._left_at = now
-        is_left = not alive and epoch == self.desk.epoch
-        self.desk.is_orphaned |= is_left
-        if is_left or (alive and self.desk.follows(epoch)):
-            self.join_soon(now)  # where it is left, whoever else is there: it may have answered for that one
-
-    def join_soon(self, now: float) -> None:
-        """Ask to join, again if need be: the link is new, or the worker is to be known otherwise."""
-        self._is_refused = False
-        self._patience = RETRY_FIRST
-        self._join_at = now
-
-    def join_later(self, now: float, jitter: float) -> None:
-        """Ask to join, after a time that doubles, times the jitter."""
-        self._join_at = now + self._patience * jitter
-        self._patience = min(2 * self._patience, RETRY_LAST)
-
-    def set_credit(self, credit: int, now: float) -> None:
-        """Ask to join again if the credit is another one than was asked for last."""
-        if self.desk.has_joined and not self._is_refused and credit != self.credit:
-            self.join_soon(now)
-
-    def ask(self, credit: int) -> int:
-        """Begin a join; gives its number."""
-        self.is_asking = True
-        self.credit = credit
-        self._join_at = None
-        return self.desk.joining()
-
-    def hold_up(self, sample: Sample) -> bool:
-        """Keep a message that came while a join is under way: its answer decides what that is worth."""
-        if self.is_asking:
-            self._held_up.append(sample)
-        return self.is_asking
-
-    def let_go(self) -> list[Sample]:
-        """The messages that were kept, in their order."""
-        samples, self._held_up = self._held_up, []
-        return samples
-
-    def answered(self, answer: Joined, now: float, jitter: float) -> bool:
-        """Take the answer to a join; False when it comes from an older coordinator than the one known.
-
-        The one that is known has not heard of this join then, and what it leases would not be taken: ask it
-        again, after a time that doubles, times the jitter.
-        """
-        self.is_asking = False
-        is_current = self.desk.joined(answer)
-        if is_current:
-            self._patience = RETRY_FIRST
-        else:
-            self.join_later(now, jitter)
-        self.desk.is_orphaned |= answer.epoch == self.desk.epoch and answer.epoch not in self._there
-        return is_current
-
-    def unanswered(self, now: float, jitter: float) -> None:
-        """Hear that nobody answered: ask again later, after a time that doubles, times the jitter."""
-        self.is_asking = False
-        self.join_later(now, jitter)
-
-    def refused(self) -> None:
-        """Hear that the job does not take this worker: ask no more until something changes."""
-        self.is_asking = False
-        self._is_refused = True
-
-
 CREDIT = 2
-"""Batches outstanding at a worker, split among its jobs: one in work, one waiting. Each has one at least."""
-
-
-class JobRegistry:
-    """The appointments of a worker, by job."""
-
-    def __init__(self) -> None:
-        self._jobs: dict[str, JoinState] = {}
-        self._number = 0
-        """The highest number of a join to a job that is served no more: numbers go on from there."""
-
-    def __iter__(self) -> Iterator[JoinState]:
-        return iter(list(self._jobs.values()))
-
-    def __bool__(self) -> bool:
-        """Whether any job is served."""
-        return bool(self._jobs)
-
-    def get(self, job: str | None) -> JoinState | None:
-        """The appointment with a job; None: there is none."""
-        return self._jobs.get(job or "")
-
-    def add(self, job: str) -> JoinState:
-        """Begin to serve a job."""
-        appointment = self._jobs[job] = JoinState(job)
-        appointment.desk.number = self._number
-        return appointment
-
-    def end(self, job: str) -> None:
-        """Serve a job no more."""
-        self._number = max(self._number, self._jobs.pop(job).desk.number)
-
-    @property
-    def share(self) -> int:
-        """The credit of each job."""
-        return max(1, CREDIT // max(1, sum(appointment.has_share for appointment in self)))
-
-    def turn(self, is_servable: Callable[[JobSession], bool]) -> JobSession | None:
-        """The desk whose turn it is, of those that can be served now; its next turn is the last."""
-        for job, appointment in self._jobs.items():
-            if is_servable(appointment.desk):
-                self._jobs[job] = self._jobs.pop(job)
-                return appointment.desk
-        return None
-
-    def next_join(self) -> float:
-        """When the next try to join is due; infinite: nothing is to be tried."""
-        times = (appointment.join_at for appointment in self)
-        return min((time for time in times if time is not None), default=inf)
-
-    def next_end(self) -> float:
-        """When the next appointment is over; infinite: all go on."""
-        return min((appointment.ends_at for appointment in self), default=inf)
-
-
+"""Batches outstanding at a worker, split among its jobs, at least one each: one waits."""
 log = structlog.get_logger()
 
 
@@ -311,138 +230,147 @@ class RefusedByJob(Refused):
         super().__init__(f"Job '{job}' does not take this worker: {reason}")
 
 
-class JobMembership:
-    """What a worker is to the jobs on a bus; a context manager that hands its tokens in.
+class JobRegistry:
+    """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens."""
 
-    Parameters
-    ----------
-    jobs
-        The appointments, which are kept up here.
-    only
-        The only job to serve; None: every job there is.
-    """
-
-    def __init__(
-        self, bus: Bus, errands: BackgroundRequests, jobs: JobRegistry, wid: str, only: str | None
-    ) -> None:
+    def __init__(self, bus: Bus, requests: BackgroundRequests, wid: str, only: str | None) -> None:
         self._bus = bus
-        self._errands = errands
-        self._jobs = jobs
+        self._requests = requests
         self._wid = wid
         self._only = only
+        self._sessions: dict[str, JobSession] = {}
+        """By job; the one that was served last stands last."""
         self._tokens: dict[str, AbstractContextManager[None]] = {}
         self._left: dict[str, int] = {}
         """The epochs of coordinators that drained this worker, and are there, by job."""
+        self._last_number = 0
+        """The highest number of a join to a job that is served no more: numbers go on from there."""
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         for job in list(self._tokens):
-            self._hand_in(job)
+            self._close(job)
 
-    def meet(self, key: str, is_alive: bool, now: float) -> None:
+    def __iter__(self) -> Iterator[JobSession]:
+        return iter(list(self._sessions.values()))
+
+    def __bool__(self) -> bool:
+        """True if any job is served."""
+        return bool(self._sessions)
+
+    def get(self, job: str | None) -> JobSession | None:
+        """The session of a job; None: it is not served."""
+        return self._sessions.get(job or "")
+
+    @property
+    def share(self) -> int:
+        """The credit of each job."""
+        return max(1, CREDIT // max(1, sum(session.has_share for session in self)))
+
+    @property
+    def next_join(self) -> float:
+        """The time of the next try to join; infinite: nothing is to be tried."""
+        times = (session.join_at for session in self)
+        return min((time for time in times if time is not None), default=inf)
+
+    @property
+    def next_end(self) -> float:
+        """The time at which the next job is given up; infinite: all go on."""
+        return min((session.ends_at for session in self), default=inf)
+
+    def next_session(self, is_servable: Callable[[JobSession], bool]) -> JobSession | None:
+        """The first session that can be served now, which moves to the end: jobs are served in turn."""
+        for job, session in self._sessions.items():
+            if is_servable(session):
+                self._sessions[job] = self._sessions.pop(job)
+                return session
+        return None
+
+    def on_coordinator(self, key: str, is_alive: bool, now: float) -> None:
         """Note that a job's coordinator is there, or is gone, by its token."""
-        job, token = job_of(key), last_chunk(key)
-        epoch = parse_number(token)
+        job, epoch = job_of(key), parse_number(last_chunk(key))
         if job is None or epoch is None:
             return
-        appointment = self._jobs.get(job)
         left = self._left.get(job, -1)
         if epoch > left or (epoch == left and not is_alive):
             self._left.pop(job, None)
-        if is_alive and appointment is None and epoch > left:
-            appointment = self._open(job)
-        if appointment is not None:
-            appointment.meet(epoch, is_alive, now)
+        if is_alive and job not in self._sessions and epoch > left:
+            self._tokens[job] = self._bus.token(Keys(job).worker_token(self._wid))
+            self._sessions[job] = JobSession(job, self._last_number)
+        if job in self._sessions:
+            self._sessions[job].on_coordinator(epoch, is_alive, now)
 
-    def reconnected(self, now: float) -> None:
-        """Hear that the link is up again: coordinators may have given this worker up."""
-        for appointment in self._jobs:
-            appointment.join_soon(now)
+    def on_link_up(self, now: float) -> None:
+        """Join all jobs again: their coordinators may have given this worker up."""
+        for session in self:
+            session.join_soon(now)
 
     def join_due(self, now: float, platform: dict[str, str], *, is_open: bool) -> None:
-        """Join what is to be joined; a worker that is not open asks for no work."""
-        for appointment in self._jobs:
-            credit = self._jobs.share if is_open and not appointment.desk.is_draining else 0
-            appointment.set_credit(credit, now)
-            if appointment.is_due(now):
-                self._join(appointment, credit, platform)
+        """Join the jobs that are due; a worker that is not open asks for no work."""
+        for session in self:
+            credit = self.share if is_open and not session.is_draining else 0
+            session.set_credit(credit, now)
+            if session.is_due(now):
+                request = Join(
+                    versions=[VERSION],
+                    wid=self._wid,
+                    number=session.ask(credit),
+                    credit=credit,
+                    held=session.held,
+                    host=socket.gethostname(),
+                    pid=os.getpid(),
+                    platform=platform,
+                )
+                self._requests.join(session.job, request)
 
-    def _join(self, appointment: JoinState, credit: int, platform: dict[str, str]) -> None:
-        desk = appointment.desk
-        request = Join(
-            versions=[VERSION],
-            wid=self._wid,
-            number=appointment.ask(credit),
-            credit=credit,
-            held=desk.held,
-            host=socket.gethostname(),
-            pid=os.getpid(),
-            platform=platform,
-        )
-        self._errands.join(desk.job, request)
+    def on_join_answered(self, answered: JoinAnswered, now: float) -> list[Sample]:
+        """Take what came of a join; returns the messages that waited for it.
 
-    def answered(self, answered: JoinAnswered, now: float) -> list[Sample]:
-        """Hear whether a job takes this worker; gives the messages that waited for this.
-
-        Raises
-        ------
-        RefusedByJob
-            It does not, and is the only one to serve.
+        RefusedByJob if the job does not take this worker, and is the only one to serve.
         """
-        appointment = self._jobs.get(answered.job)
-        if appointment is None or answered.number != appointment.desk.number:
+        session = self._sessions.get(answered.job)
+        if session is None or answered.number != session.number:
             return []
-        desk, epoch = appointment.desk, appointment.desk.epoch
+        epoch = session.epoch
         match answered.answer:
             case Joined() as answer:
-                if appointment.answered(answer, now, jitter()) and desk.epoch != epoch:
-                    log.info("joined", job=desk.job, epoch=desk.epoch, worker=self._wid[:8])
+                if session.on_answer(answer, now, jitter()) and session.epoch != epoch:
+                    log.info("joined", job=session.job, epoch=session.epoch, worker=self._wid[:8])
             case Refused() as reason:
-                appointment.refused()
-                log.error("a job does not take this worker", job=desk.job, reason=str(reason))
+                session.on_refusal()
+                log.error("a job does not take this worker", job=session.job, reason=str(reason))
                 if self._only:
-                    raise RefusedByJob(desk.job, reason)
+                    raise RefusedByJob(session.job, reason)
             case _:
-                appointment.unanswered(now, jitter())
-        return appointment.let_go()
+                session.on_no_answer(now, jitter())
+        return session.take_deferred()
 
     def leave_drained(self) -> bool:
-        """Leave the jobs whose coordinators asked for that, once nothing of them is held.
-
-        Gives whether that ends this worker: there is no other job for it.
-        """
+        """Leave the jobs that drained this worker; True where that was the only one to serve."""
         is_last = False
-        for appointment in self._jobs:
-            desk = appointment.desk
-            if appointment.is_dismissed:
-                log.info("left a job, as its coordinator asked", job=desk.job)
-                if not desk.is_orphaned:
-                    self._left[desk.job] = desk.epoch
-                self._close(desk.job)
+        for session in self:
+            if session.is_drained:
+                log.info("left a job, as its coordinator asked", job=session.job)
+                if not session.is_orphaned:
+                    self._left[session.job] = session.epoch
+                self._close(session.job)
                 is_last = self._only is not None
         return is_last
 
-    def end_over(self, now: float) -> None:
-        """End the appointments with jobs that have had no coordinator for long."""
-        for appointment in self._jobs:
-            if now >= appointment.ends_at:
-                log.info("a job has no coordinator any more", job=appointment.desk.job)
-                self._close(appointment.desk.job)
-
-    def _open(self, job: str) -> JoinState:
-        self._tokens[job] = self._bus.token(Keys(job).worker_token(self._wid))
-        return self._jobs.add(job)
+    def end_abandoned(self, now: float) -> None:
+        """Give up the jobs that have had no coordinator for long."""
+        for session in self:
+            if now >= session.ends_at:
+                log.info("a job has no coordinator any more", job=session.job)
+                self._close(session.job)
 
     def _close(self, job: str) -> None:
-        self._jobs.end(job)
-        self._hand_in(job)
-
-    def _hand_in(self, job: str) -> None:
+        self._last_number = max(self._last_number, self._sessions.pop(job).number)
         self._tokens.pop(job).__exit__(None, None, None)
 
 
 def jitter() -> float:
-    """By how much a pause is stretched, so that not all workers ask at once: 0.5 to 1.5."""
+    """A random factor of a pause, 0.5 to 1.5, so that workers do not all ask at once."""
     return random.uniform(0.5, 1.5)  # noqa: S311  # nothing is kept secret by it

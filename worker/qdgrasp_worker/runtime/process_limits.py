@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 STALL_FACTOR = 10
-"""So many times its limit of CPU seconds a simulator may say nothing, on a machine that others use."""
+"""Multiple of its limit of CPU seconds for which a simulator may be silent."""
 PROBE_SECONDS = 60.0  # CPU seconds that the probes may take; they take one or two
 CPU_LIMIT_SIGNAL, STALL_SIGNAL = signal.SIGPROF, signal.SIGALRM
-"""What ends one that passed its limit: on the CPU, by the kernel, or on the clock, by its worker."""
+"""Signals that end a simulator past its limit: of CPU, by the kernel; of silence, by us."""
 AUTOGROUP = Path("/proc/self/autogroup")
 AUTOGROUP_TRIES, AUTOGROUP_INTERVAL = 100, 0.13  # how often a wish is repeated, and after how many seconds
 _PR_SET_PDEATHSIG = 1
@@ -26,7 +26,7 @@ _PR_SET_PDEATHSIG = 1
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """End this process if what follows takes more than so many CPU seconds."""
+    """End this process if the block takes more than so many CPU seconds."""
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
@@ -53,7 +53,7 @@ def lower_priority(nice: int) -> None:
 
 
 def _lower_session_priority(nice: int) -> None:
-    """Tell the kernel, which hears one such wish in a tenth of a second."""
+    """Tell the kernel, which takes one such request in a tenth of a second."""
     for _ in range(AUTOGROUP_TRIES):
         try:
             AUTOGROUP.write_text(str(nice))
@@ -66,7 +66,7 @@ def _lower_session_priority(nice: int) -> None:
 
 
 def end_with_parent_only() -> None:
-    """End with the process that started this one, and by nothing that is meant for a whole group."""
+    """End with the process that started this one, and by no signal that is meant for a group."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -78,21 +78,20 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 
 @dataclass(frozen=True)
 class ProcessStats:
-    """What a process takes."""
+    """Processor time and memory of a process."""
 
     cpu_seconds: float
-    """What it has had of the processor."""
     memory: int
-    """What it has of the memory now [bytes]."""
+    """[bytes]."""
     is_stopped: bool = False
-    """It stands still: by SIGSTOP, or because somebody traces it."""
+    """It stands still: by SIGSTOP, or because it is traced."""
 
 
 NO_STATS = ProcessStats(0.0, 0)  # Of a process that is not there
 
 
 def process_stats(pid: int) -> ProcessStats:
-    """What a process takes now."""
+    """Return the present processor time and memory of a process."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:

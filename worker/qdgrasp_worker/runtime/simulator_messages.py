@@ -20,30 +20,18 @@ MAX_FRAME_SIZE = 1 << 30  # The longest frame [bytes]; a length above it is not 
 
 
 class FramedSocket:
-    """One end of the line.
-
-    Parameters
-    ----------
-    end
-        A connected stream socket.
-    """
+    """One end of a stream socket, whose messages stand behind their lengths."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
 
     def send(self, frame: bytes) -> None:
-        """Send a frame; waits while the other side is behind.
-
-        Raises
-        ------
-        OSError
-            Nobody is at the other end.
-        """
+        """Send a message, waiting while the other side is behind; an OSError if that is closed."""
         self._end.sendall(LENGTH_HEADER.pack(len(frame)))
         self._end.sendall(frame)
 
     def receive(self) -> bytes | None:
-        """The next frame; None where the line ended, or carries something else than frames."""
+        """The next message; None where the socket is closed, or carries anything else."""
         head = self._read(LENGTH_HEADER.size)
         if head is None:
             return None
@@ -51,7 +39,7 @@ class FramedSocket:
         return self._read(length) if length <= MAX_FRAME_SIZE else None
 
     def close(self) -> None:
-        """End the line, for both sides; closing twice is allowed."""
+        """Close the socket, for both sides; closing twice is allowed."""
         with suppress(OSError):
             self._end.shutdown(socket.SHUT_RDWR)
         self._end.close()
@@ -71,18 +59,18 @@ class FramedSocket:
 
 
 class SimulatorMessage(Struct, frozen=True, kw_only=True, tag=True, forbid_unknown_fields=True):
-    """The root of all frames."""
+    """The root of all messages."""
 
 
 class SimulatorSettings(SimulatorMessage, frozen=True, kw_only=True):
-    """Worker to simulator, first of all: within which limits it works."""
+    """Worker to simulator, first of all: its limits."""
 
     row_seconds: float
-    """The CPU seconds that a row, or a slice of rows, may take."""
+    """CPU seconds that a row, or a slice of rows, may take."""
     memory: int
-    """The memory that it may ask for [bytes]."""
+    """Memory that it may ask for [bytes]."""
     nice: int
-    """How far it stands back behind other processes, 0 to 19."""
+    """Niceness of its process, 0 to 19."""
 
 
 class EvaluateRows(SimulatorMessage, frozen=True, kw_only=True):
@@ -98,7 +86,7 @@ class EvaluateRows(SimulatorMessage, frozen=True, kw_only=True):
     columns: dict[str, bytes]
     """`index`, `trial` and `genome`."""
     is_careful: bool
-    """Whether each row is evaluated by itself, and told before the next begins."""
+    """Each row is evaluated by itself, and its result sent before the next begins."""
 
 
 class SimulatorReady(SimulatorMessage, frozen=True, kw_only=True):
@@ -108,7 +96,7 @@ class SimulatorReady(SimulatorMessage, frozen=True, kw_only=True):
 
 
 class SceneLoaded(SimulatorMessage, frozen=True, kw_only=True):
-    """Simulator to worker: the scene that came with the batch stands."""
+    """Simulator to worker: the scene that came with the batch is loaded."""
 
 
 class PartialResult(SimulatorMessage, frozen=True, kw_only=True):
@@ -131,7 +119,7 @@ class BatchRejected(SimulatorMessage, frozen=True, kw_only=True):
 
 
 class SceneMissing(SimulatorMessage, frozen=True, kw_only=True):
-    """Simulator to worker: it does not have the scene, or no longer; send the batch again, with it."""
+    """Simulator to worker: it does not have the scene; send the batch again, with it."""
 
 
 class SimulatorCrashed(SimulatorMessage, frozen=True, kw_only=True):
@@ -155,18 +143,12 @@ _DECODER: msgspec.msgpack.Decoder[AnySimulatorMessage] = msgspec.msgpack.Decoder
 
 
 def encode(frame: SimulatorMessage) -> bytes:
-    """A frame as bytes."""
+    """A message as bytes."""
     return _ENCODER.encode(frame)
 
 
 def decode(data: bytes) -> AnySimulatorMessage:
-    """The frame in `data`.
-
-    Raises
-    ------
-    MessageError
-        There is none in it.
-    """
+    """The message in `data`; a MessageError if it is not one."""
     try:
         return _DECODER.decode(data)
     except msgspec.MsgspecError as error:

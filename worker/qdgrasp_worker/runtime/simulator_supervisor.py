@@ -1,8 +1,8 @@
-"""Supervises the simulator's process: starts it, feeds it batches, ends a stalled one, starts the next.
+"""Supervision of the simulator's process: batches sent to it, stalls, crashes and restarts.
 
 A stall is counted in slices of time: while the simulator stood still (SIGSTOP), or its worker did, it is not
-at fault, and a slice that took longer, because nothing looked, counts as one. Time is passed in, in seconds
-of any steady clock.
+at fault, and a slice that took longer, because no check was made, counts as one. Time is passed in, in
+seconds of any steady clock.
 """
 
 import signal
@@ -10,9 +10,9 @@ import socket
 import subprocess
 import sys
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, repeat
 from math import inf
 from pathlib import Path
@@ -23,7 +23,7 @@ import structlog
 
 from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
 from qdgrasp_worker.runtime import simulator_messages
-from qdgrasp_worker.runtime.batch_queue import BatchProgress, InFlightBatches
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.process_limits import (
     CPU_LIMIT_SIGNAL,
     NO_STATS,
@@ -35,8 +35,10 @@ from qdgrasp_worker.runtime.process_limits import (
 )
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
+    BatchRejected,
     FramedSocket,
     PartialResult,
+    SceneLoaded,
     SceneMissing,
     SimulatorCrashed,
     SimulatorMessage,
@@ -44,7 +46,7 @@ from qdgrasp_worker.runtime.simulator_messages import (
     SimulatorSettings,
 )
 
-LOOK_SLICE = 1.0  # Seconds between two looks at a simulator that is at work
+CHECK_SLICE = 1.0  # Seconds between two checks of a simulator that is at work
 
 
 class StallDetector:
@@ -52,41 +54,41 @@ class StallDetector:
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        """How long it has lasted."""
-        self._looked_at: float | None = None
+        """Seconds that it has lasted."""
+        self._checked_at: float | None = None
 
-    def begin(self, now: float) -> None:
-        """Hear that the simulator said something, or was given something to do."""
-        self.seconds, self._looked_at = 0.0, now
+    def restart(self, now: float) -> None:
+        """Count from zero: the simulator sent something, or was given something to do."""
+        self.seconds, self._checked_at = 0.0, now
 
     @property
-    def look_at(self) -> float:
-        """When to look next."""
-        return 0.0 if self._looked_at is None else self._looked_at + LOOK_SLICE
+    def next_check(self) -> float:
+        """The time of the next check."""
+        return 0.0 if self._checked_at is None else self._checked_at + CHECK_SLICE
 
-    def look(self, now: float, *, is_stopped: bool) -> None:
-        """Look at the simulator, which may stand still now."""
-        before, self._looked_at = self._looked_at, now
+    def check(self, now: float, *, is_stopped: bool) -> None:
+        """Count the time since the last check, at most a slice; nothing if the simulator is stopped."""
+        before, self._checked_at = self._checked_at, now
         if not (before is None or is_stopped):
-            self.seconds += min(now - before, LOOK_SLICE)
+            self.seconds += min(now - before, CHECK_SLICE)
 
 
 STANDARD_ERROR = 2
 OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""What ends a simulator without a word on what it was at."""
+"""Signals that end a simulator and are no evidence against what it was at."""
 
 
 @dataclass(frozen=True)
 class SimulatorSaid:
-    """A simulator said something."""
+    """A simulator sent a message."""
 
     simulator: "SimulatorClient"
-    frame: AnySimulatorMessage
+    message: AnySimulatorMessage
 
 
 @dataclass(frozen=True)
 class SimulatorEnded:
-    """A simulator ended; nothing more is heard of it."""
+    """A simulator ended; nothing more comes from it."""
 
     simulator: "SimulatorClient"
     code: int
@@ -97,34 +99,29 @@ SimulatorEvent = SimulatorSaid | SimulatorEnded
 
 
 class SimulatorClient:
-    """A simulator's process, with a thread that reads and one that writes: no call here waits for it.
+    """A simulator's process, read and written by two threads: no call here waits for it.
 
-    Parameters
-    ----------
-    command
-        What is started, with the line as its standard input.
-    hear
-        Called from the reading thread.
+    Its events are reported in the reading thread.
     """
 
     def __init__(
-        self, command: Sequence[str], settings: SimulatorMessage, hear: Callable[[SimulatorEvent], None]
+        self, command: Sequence[str], settings: SimulatorMessage, report: Callable[[SimulatorEvent], None]
     ) -> None:
         ours, its = socket.socketpair()
         with its:
             self._process = subprocess.Popen(
                 command, stdin=its.fileno(), stdout=STANDARD_ERROR, start_new_session=True
             )
-        self._line = FramedSocket(ours)
-        self._hear = hear
+        self._socket = FramedSocket(ours)
+        self._report = report
         self._outbox: SimpleQueue[SimulatorMessage | None] = SimpleQueue()
-        self.say(settings)
+        self.send(settings)
         for work in (self._read, self._write):
             threading.Thread(target=work, name="simulator", daemon=True).start()
 
-    def say(self, frame: SimulatorMessage) -> None:
-        """Say something; it is heard when the simulator has done all that was said before."""
-        self._outbox.put(frame)
+    def send(self, message: SimulatorMessage) -> None:
+        """Send a message; it is read when the simulator has done all that was asked before."""
+        self._outbox.put(message)
 
     @property
     def pid(self) -> int:
@@ -132,12 +129,12 @@ class SimulatorClient:
         return self._process.pid
 
     @property
-    def vitals(self) -> ProcessStats:
-        """What it takes of the processor and the memory."""
+    def stats(self) -> ProcessStats:
+        """Its processor time and memory."""
         return process_stats(self.pid)
 
-    def stop(self) -> None:
-        """End it for having said nothing for too long; its end is heard as any other."""
+    def end_stalled(self) -> None:
+        """End it for having been silent for too long; its end is reported as any other."""
         self._process.send_signal(STALL_SIGNAL)
 
     def close(self) -> None:
@@ -154,24 +151,24 @@ class SimulatorClient:
 
     def _read(self) -> None:
         try:
-            while (data := self._line.receive()) is not None:
-                self._hear(SimulatorSaid(self, simulator_messages.decode(data)))
+            while (data := self._socket.receive()) is not None:
+                self._report(SimulatorSaid(self, simulator_messages.decode(data)))
         except MessageError:  # its memory is not what it was
             self._process.kill()
-        self._hear(SimulatorEnded(self, self._process.wait()))
+        self._report(SimulatorEnded(self, self._process.wait()))
         self._outbox.put(None)
 
     def _write(self) -> None:
-        while (frame := self._outbox.get()) is not None:
+        while (message := self._outbox.get()) is not None:
             try:
-                self._line.send(simulator_messages.encode(frame))
-            except OSError:  # it ended; the reading thread tells
+                self._socket.send(simulator_messages.encode(message))
+            except OSError:  # it ended; the reading thread reports that
                 break
-        self._line.close()
+        self._socket.close()
 
 
 def crash_reason(code: int, row_seconds: float) -> str | None:
-    """Why a simulator ended, where that speaks against what it was at; None: it was killed from outside."""
+    """The evidence of a simulator's end against its batch; None: it was killed from outside."""
     if code > 0:
         return f"the simulator ended with exit code {code}"
     if -code == CPU_LIMIT_SIGNAL:
@@ -186,20 +183,19 @@ def crash_reason(code: int, row_seconds: float) -> str | None:
 log = structlog.get_logger()
 
 RESTART_PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
-"""Seconds before the next simulator, by how many were killed or did not start since a row was evaluated."""
+"""Seconds before the next simulator, by the number that failed since a row was evaluated."""
 LAST_RESTART_PAUSE = 8.0  # Seconds before each one after those
+MAX_IN_FLIGHT = 2
+"""Batches at the simulator: the one in work, and one that waits, so that it is never idle."""
 MEMORY_HEADROOM = 1.4  # So many times the memory that a simulator may keep it may ask for within a batch
 MAX_LOAD_CRASHES = 3  # A scene that ended so many simulators while it was loaded is not tried again
 SIMULATOR_COMMAND = [sys.executable, "-m", "qdgrasp_worker.runtime.simulator_main"]
 
 
 def simulator_command(evaluator: str | None) -> list[str]:
-    """What starts a simulator: ours, or one with an evaluator that is named FILE.py:NAME or MODULE:NAME.
+    """The command of our simulator, or of one with an evaluator FILE.py:NAME or MODULE:NAME.
 
-    Raises
-    ------
-    InputError
-        That is no such name, or there is no such file.
+    An InputError if the name is of another form, or there is no such file.
     """
     if evaluator is None:
         return SIMULATOR_COMMAND
@@ -227,67 +223,55 @@ class OtherPlatform(QdgraspError):
         super().__init__("The package was changed while this worker ran; start it again.")
 
 
-@dataclass(frozen=True)
-class BatchOutcomes:
-    """What came of news from the simulator."""
-
-    done: list[BatchProgress] = field(default_factory=list)
-    """Batches whose every row is known."""
-    lost: list[BatchProgress] = field(default_factory=list)
-    """Batches that a kill from outside took away; nothing is known against them."""
-
-
 class SimulatorSupervisor:
-    """Batches in, results out; a context manager that ends the simulator.
+    """Evaluates batches in a simulator's process; a context manager that ends it.
 
-    Parameters
-    ----------
-    hire
-        Starts a simulator; its news are to come back to `hear`.
-    row_seconds
-        What the simulator was told of its time, for the words with which it is mourned.
-    memory
-        The most that it may take between two batches [bytes]; above that another one is started.
+    `start` starts a simulator whose events come back to `on_event`. Above `memory` bytes between two batches
+    another one is started. `row_seconds` are the CPU seconds of a row, as the simulator was told.
     """
 
-    def __init__(self, hire: Callable[[], SimulatorClient], *, row_seconds: float, memory: int) -> None:
-        self._hire = hire
+    def __init__(self, start: Callable[[], SimulatorClient], *, row_seconds: float, memory: int) -> None:
+        self._start = start
         self._row_seconds = row_seconds
         self._memory = memory
-        self._docket = InFlightBatches()
+        self._sent: deque[BatchProgress] = deque()
+        """Batches at the simulator, in their order; it works on the first."""
+        self._requeued: deque[BatchProgress] = deque()
+        """Batches that are to be sent again, before any other."""
         self._scenes: set[str] = set()
-        self._fatal: Counter[str] = Counter()
+        self._load_crashes: Counter[str] = Counter()
         self._pauses = restart_pauses()
-        self._silence = StallDetector()
+        self._stall = StallDetector()
         self._is_retiring = False
-        self._last_words = ""
-        self._vitals = NO_STATS
+        self._raised = ""
+        """The error that the simulator raised, as it said; empty: none."""
+        self._stats = NO_STATS
         self.restarts = 0
-        """How often another simulator was started."""
+        """Number of simulators that were started after the first."""
         self.platform: dict[str, str] | None = None
-        """What decides the bits of its results; None until the first simulator has said it."""
+        """The platform of its results; None until the first simulator has sent it."""
         self.is_ready = False
         """A simulator is there that has evaluated the probes."""
-        self.opens_at = inf
-        """When the next simulator is to be started; infinite: there is one."""
-        self._simulator = hire()
+        self.restart_at = inf
+        """Time at which the next simulator is to be started; infinite: there is one."""
+        self._simulator = start()
 
     @classmethod
     def open(
         cls,
-        hear: Callable[[SimulatorEvent], None],
+        report: Callable[[SimulatorEvent], None],
         row_seconds: float,
         memory: int,
         nice: int,
         command: Sequence[str] = SIMULATOR_COMMAND,
-    ) -> "SimulatorSupervisor":
-        """A workshop with simulators of its own, the first of which starts now."""
+    ) -> Self:
+        """A supervisor of simulators in processes, the first of which starts now."""
         settings = SimulatorSettings(
             row_seconds=row_seconds, memory=round(MEMORY_HEADROOM * memory), nice=nice
         )
-        return cls(lambda: SimulatorClient(command, settings, hear), row_seconds=row_seconds, memory=memory)
+        return cls(lambda: SimulatorClient(command, settings, report), row_seconds=row_seconds, memory=memory)
 
-    def __enter__(self) -> "SimulatorSupervisor":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -297,149 +281,160 @@ class SimulatorSupervisor:
 
     @property
     def has_room(self) -> bool:
-        """A batch may be put in."""
-        return self.is_ready and not self._is_retiring and self._docket.has_room
+        """True if another batch may be submitted."""
+        return self.is_ready and not self._is_retiring and len(self._sent) < MAX_IN_FLIGHT
 
     @property
     def head(self) -> BatchProgress | None:
-        """The batch that is worked on."""
-        return self._docket.head
+        """The batch that the simulator works on; None: nothing."""
+        return self._sent[0] if self._sent else None
 
     @property
     def tasks(self) -> list[BatchProgress]:
-        """All batches that are here."""
-        return self._docket.tasks
+        """All batches, those first that are to be sent again."""
+        return [*self._requeued, *self._sent]
 
     @property
-    def next_again(self) -> BatchProgress | None:
-        """A batch that was begun, and goes on before others: put it in again, or drop it."""
-        return self._docket.next_again
+    def next_requeued(self) -> BatchProgress | None:
+        """A batch that was begun, and goes on before others: submit it again, or drop it."""
+        return self._requeued[0] if self._requeued else None
 
     def has_scene(self, digest: str) -> bool:
-        """Whether the simulator was given a scene."""
+        """Return whether the simulator was given a scene."""
         return digest in self._scenes
 
     def is_fatal(self, digest: str) -> bool:
-        """Whether a scene ended so many simulators while they loaded it that it is not tried again."""
-        return self._fatal[digest] >= MAX_LOAD_CRASHES
+        """Return whether a scene crashed so many simulators at loading that it is not tried again."""
+        return self._load_crashes[digest] >= MAX_LOAD_CRASHES
 
-    def put(self, task: BatchProgress, bundle: bytes | None, now: float) -> None:
+    def submit(self, task: BatchProgress, bundle: bytes | None, now: float) -> None:
         """Let the simulator evaluate a batch, with its scene unless it has that."""
         if self.head is None:
-            self._silence.begin(now)
-        self._simulator.say(task.request(bundle))
-        self._docket.send(task, now)
+            self._stall.restart(now)
+        self._simulator.send(task.request(bundle))
+        if task is self.next_requeued:
+            self._requeued.popleft()
+        task.since = now
+        self._sent.append(task)
         self._scenes.add(task.work.scene)
 
     def drop(self, task: BatchProgress) -> None:
-        """Forget `next_again`."""
-        self._docket.drop(task)
+        """Forget `next_requeued`."""
+        self._requeued.remove(task)
 
-    # News of the simulator.
+    # Events of the simulator.
 
-    def hear(self, news: SimulatorEvent, now: float) -> BatchOutcomes:
-        """Take what the simulator says, or that it ended; what came late from an older one is passed over.
+    def on_event(self, event: SimulatorEvent, now: float) -> list[BatchProgress]:
+        """Take a message or the end of the simulator; those of an older one are passed over.
 
-        Raises
-        ------
-        NoSimulator
-            No simulator can be started here.
-        OtherPlatform
-            This one is of another platform than the one before.
+        Returns the batches that are done, and those that a kill from outside took away: of these not all rows
+        are known, and nothing is known against them. NoSimulator if none can be started here, OtherPlatform
+        if this one is of another platform than the one before.
         """
-        if news.simulator is not self._simulator or self.opens_at < inf:
-            return BatchOutcomes()
-        if isinstance(news, SimulatorSaid):
-            return self._said(news.frame, now)
-        return self._ended(news, now)
+        if event.simulator is not self._simulator or self.restart_at < inf:
+            return []
+        if isinstance(event, SimulatorSaid):
+            return self._on_message(event.message, now)
+        return self._on_end(event, now)
 
-    def _said(self, frame: AnySimulatorMessage, now: float) -> BatchOutcomes:
-        self._silence.begin(now)
-        match frame:
+    def _on_message(self, message: AnySimulatorMessage, now: float) -> list[BatchProgress]:
+        self._stall.restart(now)
+        match message:
             case SimulatorReady(platform=platform):
-                self._welcome(platform)
+                if self.platform is not None and platform != self.platform:
+                    raise OtherPlatform
+                self.platform = platform
+                self.is_ready = True
             case SimulatorCrashed(reason=reason):
-                self._last_words = reason
-            case SceneMissing() if self.head is not None:
-                self._scenes.discard(self.head.work.scene)
+                self._raised = reason
             case PartialResult():
                 self._pauses = restart_pauses()
-        done = self._docket.hear(frame, now)
-        return BatchOutcomes(done=[done] if done else [])
+        if (head := self.head) is None:
+            return []
+        match message:
+            case SceneLoaded():
+                head.is_loading = False
+            case PartialResult():
+                head.add(message)
+            case BatchRejected(reason=reason):
+                head.fail_all(reason)
+            case SceneMissing():
+                self._scenes.discard(head.work.scene)
+                self._requeued.append(self._sent.popleft())
+        if not head.is_done:
+            return []
+        self._sent.popleft()
+        if self.head is not None:
+            self.head.since = now
+        return [head]
 
-    def _welcome(self, platform: dict[str, str]) -> None:
-        if self.platform is not None and platform != self.platform:
-            raise OtherPlatform
-        self.platform = platform
-        self.is_ready = True
-
-    def _ended(self, news: SimulatorEnded, now: float) -> BatchOutcomes:
-        reason = self._last_words or crash_reason(news.code, self._row_seconds)
+    def _on_end(self, event: SimulatorEnded, now: float) -> list[BatchProgress]:
+        """Blame the batch in work if there is a reason to; the others go to the next simulator."""
+        reason = self._raised or crash_reason(event.code, self._row_seconds)
         if self.platform is None and reason:
             raise NoSimulator(reason)
         log.warning("the simulator ended; another one is started", reason=reason or "it was killed")
         is_of_a_row = reason is not None and self.is_ready
-        self._close(now if is_of_a_row else now + next(self._pauses))
+        self._forget_simulator(now if is_of_a_row else now + next(self._pauses))
+        sent = list(self._sent)
+        self._sent.clear()
         if reason is None:
-            return BatchOutcomes(lost=self._docket.lose())
-        if self.head is not None and self.head.is_loading:
-            self._fatal[self.head.work.scene] += 1
-        done = self._docket.stumble(reason)
-        return BatchOutcomes(done=[done] if done else [])
+            return sent
+        done = []
+        if sent:
+            if sent[0].is_loading:
+                self._load_crashes[sent[0].work.scene] += 1
+            sent[0].on_crash(reason)
+            if sent[0].is_done:
+                done.append(sent.pop(0))
+        self._requeued.extendleft(reversed(sent))
+        return done
 
     # Time passes.
 
     @property
-    def tick_at(self) -> float:
-        """When `tick` has something to do if nothing happens before; infinite: never."""
-        return min(self.opens_at, self._silence.look_at if self._is_at_work else inf)
+    def next_step(self) -> float:
+        """The time at which `step` has something to do if no event comes before; infinite: never."""
+        is_at_work = self.restart_at == inf and not (self.is_ready and self.head is None)
+        return min(self.restart_at, self._stall.next_check if is_at_work else inf)
 
-    @property
-    def _is_at_work(self) -> bool:
-        """Something is awaited of a simulator that is there: the probes, or a batch."""
-        return self.opens_at == inf and not (self.is_ready and self.head is None)
-
-    def tick(self, now: float) -> None:
-        """Start the next simulator when it is time, and end one that is silent, or takes too much memory."""
-        if now >= self.opens_at:
-            self.opens_at = inf
+    def step(self, now: float) -> None:
+        """Start the next simulator when it is time; end one that is silent or takes too much memory."""
+        if now >= self.restart_at:
+            self.restart_at = inf
             self.restarts += 1
-            self._simulator = self._hire()
+            self._simulator = self._start()
         elif self._is_retiring and self.head is None:
             self._simulator.close()
-            self._close(now)
-        elif now >= self.tick_at:
-            self._listen(now)
+            self._forget_simulator(now)
+        elif now >= self.next_step:
+            self._stall.check(now, is_stopped=self._simulator.stats.is_stopped)
+            limit = STALL_FACTOR * (self._row_seconds if self.is_ready else PROBE_SECONDS)
+            if self._stall.seconds > limit:
+                self._stall.restart(now)
+                self._simulator.end_stalled()
 
-    def _listen(self, now: float) -> None:
-        """End the simulator if it has been silent for too long."""
-        self._silence.look(now, is_stopped=self._simulator.vitals.is_stopped)
-        if self._silence.seconds > STALL_FACTOR * (self._row_seconds if self.is_ready else PROBE_SECONDS):
-            self._silence.begin(now)
-            self._simulator.stop()
-
-    def look(self) -> bool:
-        """Look at the simulator: whether it did anything since the last time, and what memory it takes."""
-        before, self._vitals = self._vitals, self._simulator.vitals
-        if self._vitals.memory > self._memory and not self._is_retiring:
+    def measure(self) -> bool:
+        """Measure the simulator's processor time and memory; True if it ran since the last time."""
+        before, self._stats = self._stats, self._simulator.stats
+        if self._stats.memory > self._memory and not self._is_retiring:
             self._is_retiring = True
-            log.warning("the simulator takes too much memory and is replaced", bytes=self._vitals.memory)
-        return self._vitals.cpu_seconds != before.cpu_seconds
+            log.warning("the simulator takes too much memory and is replaced", bytes=self._stats.memory)
+        return self._stats.cpu_seconds != before.cpu_seconds
 
     @property
     def memory(self) -> int:
-        """What the simulator took at the last look [bytes]."""
-        return self._vitals.memory
+        """The simulator's memory when it was measured last [bytes]."""
+        return self._stats.memory
 
-    def _close(self, opens_at: float) -> None:
-        """Forget the simulator that there was."""
+    def _forget_simulator(self, restart_at: float) -> None:
         self.is_ready = self._is_retiring = False
-        self.opens_at = opens_at
-        self._last_words = ""
-        self._silence = StallDetector()
+        self.restart_at = restart_at
+        self._raised = ""
+        self._stall = StallDetector()
         self._scenes.clear()
 
 
 def restart_pauses() -> chain[float]:
-    """The pauses before the next simulators, from the first on."""
+    """Seconds before each next simulator, from the first on."""
     return chain(RESTART_PAUSES, repeat(LAST_RESTART_PAUSE))

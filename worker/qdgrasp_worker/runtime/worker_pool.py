@@ -1,4 +1,4 @@
-"""Worker pool: several workers of one command, started again when they die, and stopped together."""
+"""Worker pool: several workers of one command, restarted when they die, stopped together."""
 
 import os
 import signal
@@ -21,47 +21,32 @@ POOL_OPTIONS = ("workers", "pin")  # Options of the team, which its workers are 
 
 
 class StartupCheck:
-    """Whether workers begin to serve at all, or what they were given is bad for each. Pure.
+    """Decides whether bad input ends each of `size` workers at its first start. Pure.
 
-    Parameters
-    ----------
-    size
-        How many there are.
-    until
-        When the first process of each has begun [s], of any steady clock.
+    The first process of each has begun by `until` [s], of any steady clock.
     """
 
     def __init__(self, size: int, until: float) -> None:
         self._size = size
         self._until = until
         self._seen: set[str] = set()
-        self._turned_away: set[str] = set()
+        self._rejected: set[str] = set()
 
-    def is_hopeless(self, death: ProcessExit, now: float) -> bool:
-        """Hear that a worker ended; gives whether bad input has now ended the first process of each."""
-        is_first = death.name not in self._seen
-        self._seen.add(death.name)
-        if is_first and now <= self._until and death.exit_code == InputError.exit_code:
-            self._turned_away.add(death.name)
-            return len(self._turned_away) == self._size
+    def is_hopeless(self, ended: ProcessExit, now: float) -> bool:
+        """Note that a worker ended; True once bad input has ended the first process of each."""
+        is_first = ended.name not in self._seen
+        self._seen.add(ended.name)
+        if is_first and now <= self._until and ended.exit_code == InputError.exit_code:
+            self._rejected.add(ended.name)
+            return len(self._rejected) == self._size
         return False
 
 
 class WorkerPool:
-    """Workers that are looked after.
+    """Several workers with the same arguments, restarted when they die.
 
-    Parameters
-    ----------
-    size
-        How many.
-    arguments
-        What each is started with.
-    grace
-        Seconds that each may take to stop.
-    wait
-        Seconds that each waits for the router.
-    is_pinned
-        Each is kept on a core of its own, as far as there are so many.
+    Each may take `grace` seconds to stop and waits `wait` seconds for the router; if pinned, each is kept on
+    a core of its own, as far as there are so many.
     """
 
     def __init__(
@@ -71,64 +56,61 @@ class WorkerPool:
         self._arguments = arguments
         self._grace = max(GRACE, grace + GRACE_MARGIN)
         self._is_pinned = is_pinned
-        self._there: set[str] = set()
-        self._beginning = StartupCheck(size, monotonic() + wait + STARTUP_SECONDS)
+        self._running: set[str] = set()
+        self._startup = StartupCheck(size, monotonic() + wait + STARTUP_SECONDS)
 
     def run(self, stop: Stop) -> None:
-        """Look after the workers until a signal comes, or all have left.
+        """Start the workers and watch them until a signal comes, or all have left.
 
-        Raises
-        ------
-        Exit
-            The first process of each worker ended with a sentence that names bad input: so would any.
+        An Exit if the first process of each ended by bad input, as any would.
         """
         setproctitle("qdgrasp-workers")
         woken: SimpleQueue[None] = SimpleQueue()
         stop.tell(lambda: woken.put(None))
-        with ProcessGroup(None, self._grace) as crew:
-            self._hire(crew)
-            while self._there and not stop.is_set:
-                for death in crew.deaths():
-                    self._died(crew, death, monotonic())
-                crew.restart_due(monotonic())
+        with ProcessGroup(None, self._grace) as group:
+            self._start(group)
+            while self._running and not stop.is_set:
+                for ended in group.exits():
+                    self._on_exit(group, ended, monotonic())
+                group.restart_due(monotonic())
                 with suppress(Empty):
                     woken.get(timeout=LOOK_INTERVAL)
             if stop.signal is not None:
-                self._dismiss(crew, stop, woken)
+                self._stop(group, stop, woken)
 
-    def _hire(self, crew: ProcessGroup) -> None:
+    def _start(self, group: ProcessGroup) -> None:
         cores = sorted(os.sched_getaffinity(0))
         for number in range(self._size):
             name, core = f"worker-{number}", cores[number % len(cores)] if self._is_pinned else None
-            crew.hire(name, "qdgrasp_worker.cli", self._arguments, core)
-            self._there.add(name)
+            group.start(name, "qdgrasp_worker.cli", self._arguments, core)
+            self._running.add(name)
 
-    def _died(self, crew: ProcessGroup, death: ProcessExit, now: float) -> None:
-        if self._beginning.is_hopeless(death, now):
-            raise typer.Exit(death.exit_code)
-        if death.exit_code == 0:
-            self._there.discard(death.name)
+    def _on_exit(self, group: ProcessGroup, ended: ProcessExit, now: float) -> None:
+        if self._startup.is_hopeless(ended, now):
+            raise typer.Exit(ended.exit_code)
+        if ended.exit_code == 0:
+            self._running.discard(ended.name)
             return
-        pause = crew.restart_later(death.name, now)
-        log.warning(f"{death.name} {death.words}; it is started again in {pause:.1f} s")
+        pause = group.restart_later(ended.name, now)
+        log.warning(f"{ended.name} {ended.description}; it is started again in {pause:.1f} s")
 
-    def _dismiss(self, crew: ProcessGroup, stop: Stop, woken: "SimpleQueue[None]") -> None:
-        """Ask the workers to stop by the first signal, then by SIGINT if that comes, and end the others."""
+    def _stop(self, group: ProcessGroup, stop: Stop, woken: "SimpleQueue[None]") -> None:
+        """Ask the workers to stop by the first signal, then by SIGINT if that comes; end the others."""
         passed_on = stop.signal or signal.SIGTERM
-        crew.bid_leave(passed_on)
+        group.request_stop(passed_on)
         kill_at = monotonic() + self._grace
-        while (pids := crew.pids()) and monotonic() < kill_at:
+        while (pids := group.pids()) and monotonic() < kill_at:
             if stop.latest == signal.SIGINT != passed_on:
                 passed_on = signal.SIGINT
                 for pid in pids.values():
                     os.kill(pid, passed_on)
             with suppress(Empty):
                 woken.get(timeout=LOOK_INTERVAL)
-        crew.dismiss(passed_on)
+        group.stop(passed_on)
 
 
 def worker_arguments(context: typer.Context) -> list[str]:
-    """The options of a command as they were given, but for those that are the team's own."""
+    """The options of a command as they were given, without the pool's own."""
     given: list[str] = []
     for option in context.command.params:
         value = context.params.get(option.name or "")

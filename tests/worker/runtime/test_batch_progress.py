@@ -1,4 +1,4 @@
-"""What is known of a batch while simulators come and go."""
+"""The progress of a batch while simulators come and go."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,12 @@ from tests.worker.runtime.leased_batches import GENES, work
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.messages import Failure, Result
-from qdgrasp_worker.runtime.batch_queue import BatchProgress
+from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, PartialResult
 
 
 def part(n: int, first: int = 0, failures: tuple[int, ...] = ()) -> PartialResult:
-    """What n rows gave: their numbers, counted from `first`."""
+    """The results of n rows: their numbers, counted from `first`."""
     numbers = np.arange(first, first + n, dtype="<f4")
     named = [Failure(row=row, reason="no") for row in failures]
     return PartialResult(
@@ -61,16 +61,16 @@ def test_what_is_known_already_is_not_asked_for_again(task):
 
 def test_the_first_end_of_a_simulator_blames_nobody_and_makes_careful(task):
     task.add(part(2))
-    task.stumble("the simulator was ended by SIGSEGV")
+    task.on_crash("the simulator was ended by SIGSEGV")
     assert not task.is_done
     assert task.request(None).is_careful
     assert first_genes(task.request(None)) == [2, 3, 4]
 
 
 def test_row_by_row_the_first_that_is_not_known_is_to_blame(task):
-    task.stumble("first")
+    task.on_crash("first")
     task.add(part(1))
-    task.stumble("the simulator was ended by SIGABRT")
+    task.on_crash("the simulator was ended by SIGABRT")
     assert first_genes(task.request(None)) == [2, 3, 4]
     for row in (2, 3, 4):
         task.add(part(1, first=row))
@@ -83,7 +83,7 @@ def test_row_by_row_the_first_that_is_not_known_is_to_blame(task):
 
 def test_a_batch_whose_only_row_ends_every_simulator_is_answered_without_columns():
     task = BatchProgress("job", work(n=1))
-    task.stumble("one")
+    task.on_crash("one")
     assert task.is_done
     result = task.result("a" * 32)
     assert [failure.reason for failure in result.failures] == ["one"]
@@ -92,7 +92,7 @@ def test_a_batch_whose_only_row_ends_every_simulator_is_answered_without_columns
 
 def test_an_end_while_the_scene_is_loaded_speaks_against_all_rows(task):
     task.request(b"a scene")
-    task.stumble("the simulator was ended by SIGSEGV")
+    task.on_crash("the simulator was ended by SIGSEGV")
     assert task.is_done
     reasons = {failure.reason for failure in task.result("a" * 32).failures}
     assert reasons == {"the simulator was ended by SIGSEGV while it loaded the scene"}
@@ -100,7 +100,7 @@ def test_an_end_while_the_scene_is_loaded_speaks_against_all_rows(task):
 
 def test_a_batch_that_cannot_be_evaluated_is_answered_with_every_row_failed(task):
     task.add(part(2))
-    task.fail("not a scene: " + "é" * 500)
+    task.fail_all("not a scene: " + "é" * 500)
     result = task.result("a" * 32)
     assert [failure.row for failure in result.failures] == [0, 1, 2, 3, 4]
     assert messages.decode(messages.encode(result), Result) == result
