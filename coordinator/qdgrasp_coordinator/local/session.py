@@ -79,12 +79,7 @@ class LocalSession:
             Runs could not be carried out.
         """
         service = CoordinatorService(
-            self.bus,
-            stop,
-            job=self.job,
-            programme=programme,
-            make_record=make_record,
-            batch_size=batch_size,
+            self.bus, stop, job=self.job, programme=programme, make_record=make_record, batch_size=batch_size
         )
 
         def step(now: float) -> None:

@@ -92,11 +92,7 @@ def test_what_needs_every_row_is_refused_with_the_digest_that_the_run_had(runs) 
     run, *_ = runs
     before = digest_of(run)
     prune_run(run)
-    acts = (
-        lambda: digest_of(run),
-        lambda: prune_run(run),
-        lambda: JournalWriter.open(run.path),
-    )
+    acts = (lambda: digest_of(run), lambda: prune_run(run), lambda: JournalWriter.open(run.path))
     for act in acts:
         with pytest.raises(FolderError, match=f"keeps the successes alone of .*whose digest was {before};"):
             act()

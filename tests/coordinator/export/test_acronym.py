@@ -125,11 +125,7 @@ MARKER = np.array([(x, 0.0, z) for x in (0.041, -0.041) for z in (0.066, 0.0875,
 THICKNESS = 2e-3
 """Of the marker's tubes, and how far its fingers may be beside those of the hand [m]."""
 OPENED = 0.04
-TURNS = {
-    "from above": (180, 0, 0),
-    "from the side": (0, -90, 0),
-    "aslant": (35, -140, 70),
-}
+TURNS = {"from above": (180, 0, 0), "from the side": (0, -90, 0), "aslant": (35, -140, 70)}
 
 
 @pytest.fixture(scope="module")

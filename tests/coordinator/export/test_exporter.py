@@ -218,10 +218,7 @@ def test_of_merged_runs_each_genome_is_read_with_its_own_prior(
     rows = random_rows(scene, [Outcome.SHAKEN] * 16, seed=1, prior="antipodal")
     antipodal = record(tmp_path / "antipodal", scene, rows, method="antipodal_rand", **FINISHED)
     merge_runs([contact, antipodal], tmp_path / "all")
-    merged, parts = (
-        read_run(RunFolder.open(tmp_path / "all")),
-        [read_run(antipodal), read_run(contact)],
-    )
+    merged, parts = (read_run(RunFolder.open(tmp_path / "all")), [read_run(antipodal), read_run(contact)])
     assert [source.run for source in merged.sources] == ["antipodal", "contact"]
     assert merged.starts.tobytes() == b"".join(part.starts.tobytes() for part in parts)
     export_run(RunFolder.open(tmp_path / "all"), tmp_path / "out", "parquet")
