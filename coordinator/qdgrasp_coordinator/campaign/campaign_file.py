@@ -99,17 +99,9 @@ def read_campaign(
 ) -> Campaign:
     """The campaign in a TOML file.
 
-    Parameters
-    ----------
-    here
-        Whether its grippers and objects must be on this machine.
-    goals
-        What ends runs, by keys of a spec, in place of what the file's defaults say; None: what they say.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it is not TOML, or it asks for a run that cannot be; the run is named.
+    `here`: whether its grippers and objects must be on this machine. `goals`: what ends runs, by keys of a
+    spec, in place of what the file's defaults say; None: what they say. Raises InputError: there is no such
+    file, it is not TOML, or it asks for a run that cannot be; the run is named.
     """
     source, asked = read_run_spec(path), {key: value for key, value in goals.items() if value is not None}
     if asked and isinstance(source.get("defaults", {}), dict):
@@ -142,10 +134,7 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
 def run_name(spec: RunSpec, said: Mapping[str, Any]) -> str:
     """Return the name of a run: gripper, object, method, seed, and whatever is not as usual.
 
-    Parameters
-    ----------
-    said
-        The values that the campaign gave for it; when it ends is no part of its name.
+    `said`: the values that the campaign gave for it; when it ends is no part of its name.
     """
     parts = [Path(spec.gripper).stem, Path(spec.object).stem, spec.method, f"s{spec.seed}"]
     usual = full_spec(
@@ -160,10 +149,7 @@ def run_name(spec: RunSpec, said: Mapping[str, Any]) -> str:
 class AssetNames:
     """Resolves grippers and objects of a campaign, and notes scans and stand-ins.
 
-    Parameters
-    ----------
-    prefer_scans
-        Whether an object is taken as its scan where that is found.
+    `prefer_scans`: whether an object is taken as its scan where that is found.
     """
 
     def __init__(self, *, prefer_scans: bool) -> None:
@@ -296,17 +282,9 @@ def campaign_of_meshes(
 ) -> Campaign:
     """The campaign of all meshes in a folder.
 
-    Parameters
-    ----------
-    scale
-        Metres to a unit of each file; None: 1.
-    said
-        Values or lists of keys of a spec, crossed as in a campaign's file; None: not said.
-
-    Raises
-    ------
-    InputError
-        As in `mesh_values`, or a run is asked for that cannot be.
+    `scale`: metres to a unit of each file; None: 1. `said`: values or lists of keys of a spec, crossed as in
+    a campaign's file; None: not said. Raises InputError: as in `mesh_values`, or a run is asked for that
+    cannot be.
     """
     known = mesh_values(folder, weighing, scale)
     cross = {key: value for key, value in said.items() if value is not None} | {"object": list(known)}
@@ -316,12 +294,8 @@ def campaign_of_meshes(
 def mesh_values(folder: Path, weighing: MassRule, scale: float | None) -> dict[str, dict[str, float]]:
     """Return the keys `mass` and `scale` of a spec for every mesh in a folder, by its path.
 
-    Raises
-    ------
-    InputError
-        There is no such folder, no mesh in it, or its table of masses cannot be read.
-    UnusableMeshes
-        Of some of them no object can be made, or what they weigh is not known.
+    Raises InputError: there is no such folder, no mesh in it, or its table of masses cannot be read.
+    UnusableMeshes: of some of them no object can be made, or what they weigh is not known.
     """
     files, masses = _mesh_files(folder), _read_masses(folder / MASS_TABLE)
     faults = _name_clashes(files.values())
@@ -343,10 +317,7 @@ def mesh_values(folder: Path, weighing: MassRule, scale: float | None) -> dict[s
 def check_meshes(specs: Iterable[RunSpec]) -> None:
     """Check that an object can be made of every mesh file that runs grasp.
 
-    Raises
-    ------
-    UnusableMeshes
-        Of some of them it cannot.
+    Raises UnusableMeshes: of some of them it cannot.
     """
     named = STAND_INS.keys() | SCANS.keys()
     wanted = {(spec.object, spec.scale): spec.mass for spec in specs if spec.object not in named}

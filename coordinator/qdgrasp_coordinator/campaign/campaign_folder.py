@@ -32,10 +32,7 @@ from qdgrasp_protocol.text import counted
 def extend_run(folder: RunFolder, **goals: int) -> None:
     """Give a run a new budget, or other goals: any of the keys `spec.GOALS`.
 
-    Raises
-    ------
-    ImpossibleValue
-        A value is not allowed, or the journal goes on behind it.
+    Raises ImpossibleValue: a value is not allowed, or the journal goes on behind it.
     """
     spec = run_spec(to_values(folder.spec) | goals, "resume")
     count_within_budget(folder, spec, "--evaluations")
@@ -45,10 +42,7 @@ def extend_run(folder: RunFolder, **goals: int) -> None:
 def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluations") -> RunCounter:
     """Return the tally of a run's journal, which must begin a journal of `spec`.
 
-    Raises
-    ------
-    ImpossibleValue
-        It does not.
+    Raises ImpossibleValue: it does not.
     """
     check_spec(spec)
     with folder.journal() as journal:
@@ -101,17 +95,9 @@ SCENE_KEYS = ("gripper", "object", "mass", "scale", "friction", "protocol", "sur
 class CampaignRunQueue:
     """The programme of a campaign: its unfinished runs, each made when its turn comes.
 
-    Parameters
-    ----------
-    folder
-        The campaign's; None: nothing is known of what was recorded, and no folders are made.
-    runs
-        The specs by name.
-
-    Raises
-    ------
-    FolderError, EndsTooSoon
-        A run's folder holds another run, or more evaluations than its budget.
+    `folder`: the campaign's; None: nothing is known of what was recorded, and no folders are made. `runs`:
+    the specs by name. Raises FolderError or EndsTooSoon: a run's folder holds another run, or more
+    evaluations than its budget.
     """
 
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
@@ -125,12 +111,8 @@ class CampaignRunQueue:
     def next(self) -> RunPlan | None:
         """The next unfinished run, with a folder of its own.
 
-        Raises
-        ------
-        RunFailed
-            Its scene cannot be built, or its folder not be written.
-        DiskFull
-            There is no room for its folder; it stays the next.
+        Raises RunFailed: its scene cannot be built, or its folder not be written. DiskFull: there is no room
+        for its folder; it stays the next.
         """
         if not self._left:
             return None
@@ -176,10 +158,8 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
 
     None: it is not finished, or its journal cannot be read; why not is told when the recorder opens it.
 
-    Raises
-    ------
-    FolderError, EndsTooSoon
-        It holds a run of another spec, more evaluations than the budget, or successes alone of fewer.
+    Raises FolderError or EndsTooSoon: it holds a run of another spec, more evaluations than the budget, or
+    successes alone of fewer.
     """
     if not RunFolder.is_run(path):
         return None
@@ -218,21 +198,10 @@ def _share_scene(one: RunSpec, other: RunSpec) -> bool:
 def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:
     """Begin the campaign that is asked for at `path`, or check that it can go on there.
 
-    Parameters
-    ----------
-    job
-        The job's name for a new folder; None: the folder's name, reduced to the allowed characters.
-
-    Returns
-    -------
-    extent
-        How much there is to do, and what of it is done.
-
-    Raises
-    ------
-    FolderError, EndsTooSoon
-        The folder holds a single run, another job, other files, runs that are not asked for any more, or one
-        that is asked for with another spec or with less than it has; or it is in use. It is left as it was.
+    `job`: the job's name for a new folder; None: the folder's name, reduced to the allowed characters.
+    Returns how much there is to do, and what of it is done. Raises FolderError or EndsTooSoon: the folder
+    holds a single run, another job, other files, runs that are not asked for any more, or one that is asked
+    for with another spec or with less than it has; or it is in use. It is left as it was.
     """
     if not JobFolder.is_job(path):
         OutFolder(path).check()
@@ -253,10 +222,7 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
 def open_campaign(path: Path) -> JobFolder:
     """The folder of a campaign that was begun.
 
-    Raises
-    ------
-    FolderError
-        There is none at `path`.
+    Raises FolderError: there is none at `path`.
     """
     folder = JobFolder.open(path)
     if not folder.is_campaign:

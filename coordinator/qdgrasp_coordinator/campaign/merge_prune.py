@@ -63,12 +63,8 @@ class MergeResult:
 def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
     """Join the successes of runs of one scene in a new folder, that appears whole or not at all.
 
-    Raises
-    ------
-    FolderError, DiskFull
-        A folder cannot be read, or `out` holds something or cannot be written.
-    InputError
-        The runs are of different scenes, or one under a protocol with trials is not finished.
+    Raises FolderError or DiskFull: a folder cannot be read, or `out` holds something or cannot be written.
+    InputError: the runs are of different scenes, or one under a protocol with trials is not finished.
     """
     RunFolder.check_free(out)
     parts, repeats = merge_parts(folders)
@@ -178,11 +174,8 @@ def prune_run(folder: RunFolder) -> int:
     The journal is replaced as a whole, or left as it was; one that is being read is waited for a little, and
     whoever begins to read it after that reads the old one.
 
-    Raises
-    ------
-    FolderError, DiskFull
-        The run is not finished, was pruned before, is in use or being read, ranks poses by all of their
-        trials, or its folder cannot be written.
+    Raises FolderError or DiskFull: the run is not finished, was pruned before, is in use or being read, ranks
+    poses by all of their trials, or its folder cannot be written.
     """
     with folder.job.supervise(), folder.job.lock():
         return _prune_locked(folder)
@@ -247,10 +240,7 @@ def _check_prunable(folder: RunFolder, source: JournalSource) -> None:
 def _checkpoint_journal(file: Path) -> None:
     """Move all of a journal into its one file, so that another may take its place.
 
-    Raises
-    ------
-    FolderError
-        It is being read, and that does not end soon.
+    Raises FolderError: it is being read, and that does not end soon.
     """
     deadline = time.monotonic() + SETTLE_TIMEOUT
     while not _is_checkpointed(file):

@@ -70,12 +70,8 @@ def _check_one_prior(sources: tuple[JournalSource, ...], where: Path) -> None:
 def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
     """The best row of each kind, and of these the `most` best, best first.
 
-    Parameters
-    ----------
-    rows
-        In any order; which is better is said in `order.best_first`.
-    kinds
-        (n,): a number for each row, equal for those of a kind; None: their 1 cm cells.
+    `rows`: in any order; which is better is said in `order.best_first`. `kinds`: (n,): a number for each row,
+    equal for those of a kind; None: their 1 cm cells.
     """
     kinds = cell_keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
     order = best_first(rows)
@@ -86,10 +82,7 @@ def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None)
 def write_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:
     """Write down from which rows of a run the poses of another were taken.
 
-    Raises
-    ------
-    FolderError
-        It cannot be written.
+    Raises FolderError: it cannot be written.
     """
     places = tuple(SourceRow(*values) for values in rows[["generation", "index", "fitness"]].tolist())
     noted = RankingSource(str(source.path.absolute()), places)
@@ -104,15 +97,7 @@ def is_reranking(folder: RunFolder) -> bool:
 def write_ranking(folder: RunFolder) -> str:
     """Rank the poses of a complete run that scores grasps again, and write `ranking.csv`.
 
-    Returns
-    -------
-    words
-        The best of them as a table.
-
-    Raises
-    ------
-    FolderError
-        A file cannot be read or written.
+    Returns the best of them as a table. Raises FolderError: a file cannot be read or written.
     """
     table = rank_poses(folder)
     atomic_files.replace(folder.path / RANKING, _as_csv(table))

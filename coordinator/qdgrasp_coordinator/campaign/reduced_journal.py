@@ -33,10 +33,7 @@ def kept_rows(rows: Rows) -> Rows:
 def journal_sources(folder: RunFolder) -> tuple[JournalSource, ...]:
     """The runs that a folder holds rows of: those it was reduced from, or itself.
 
-    Raises
-    ------
-    FolderError
-        Its journal cannot be read, or grows meanwhile.
+    Raises FolderError: its journal cannot be read, or grows meanwhile.
     """
     with folder.journal() as journal:
         if journal.sources:
@@ -97,17 +94,9 @@ def write_reduced_journal(
 ) -> None:
     """Write a reduced journal into a new file.
 
-    Parameters
-    ----------
-    found
-        What is told of it.
-    parts
-        The sources in their order, each with its kept rows, of the identity's shape.
-
-    Raises
-    ------
-    DiskFull, FolderError
-        It cannot be written, or a source has other rows by now than it says.
+    `found`: what is told of it. `parts`: the sources in their order, each with its kept rows, of the
+    identity's shape. Raises DiskFull or FolderError: it cannot be written, or a source has other rows by now
+    than it says.
     """
     file.unlink(missing_ok=True)
     with (

@@ -123,10 +123,7 @@ class Hdf5Datasets:
 def open_hdf5(path: Path) -> Iterator[Hdf5Datasets]:
     """The datasets of a file while it is open.
 
-    Raises
-    ------
-    Unusable
-        It is damaged, also if that is found only when a dataset is read.
+    Raises Unusable: it is damaged, also if that is found only when a dataset is read.
     """
     import h5py
 
@@ -211,10 +208,7 @@ def _attributes(about: GraspMetadata) -> dict[str, object]:
 def read(path: Path) -> ImportedGrasps:
     """The grasps in an ACRONYM file, of ours or of others.
 
-    Raises
-    ------
-    Unusable
-        It is damaged, or is another HDF5 file.
+    Raises Unusable: it is damaged, or is another HDF5 file.
     """
     with open_hdf5(path) as file:
         matrices = file.numbers(TRANSFORMS, (4, 4))
@@ -270,10 +264,7 @@ class FlatAcronym(Struct):
 def read_json(path: Path, payload: bytes) -> ImportedGrasps:
     """The grasps in a flat JSON file.
 
-    Raises
-    ------
-    Unusable
-        It is another JSON file.
+    Raises Unusable: it is another JSON file.
     """
     flat = decode_json(path, payload, FlatAcronym)
     matrices = to_array(path, "transforms", flat.transforms, (4, 4))

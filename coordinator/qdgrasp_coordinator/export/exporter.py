@@ -56,10 +56,7 @@ FORMATS = {
 def export_format(name: str) -> ExportFormat:
     """The format of that name.
 
-    Raises
-    ------
-    UnknownName
-        There is none.
+    Raises UnknownName: there is none.
     """
     if name not in FORMATS:
         raise UnknownName("format", name, FORMATS)
@@ -69,10 +66,7 @@ def export_format(name: str) -> ExportFormat:
 def write_grasps(out: WholeOutput, form: ExportFormat, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps to a file or folder.
 
-    Raises
-    ------
-    DiskFull, OutputError
-        It cannot be written.
+    Raises DiskFull or OutputError: it cannot be written.
     """
     with out.writing() as made:
         form.write(made, grasps, about)

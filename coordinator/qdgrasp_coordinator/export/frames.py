@@ -20,10 +20,7 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 def frame_of(name: str) -> Frame:
     """The object's frame of that name.
 
-    Raises
-    ------
-    UnknownName
-        There is none.
+    Raises UnknownName: there is none.
     """
     for frame in FRAMES:
         if frame == name:

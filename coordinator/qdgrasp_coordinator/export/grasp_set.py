@@ -194,15 +194,8 @@ class Grasps:
     def poses(self, frame: Frame = MESH) -> Floats:
         """(n, 7): the hand's root link, x y z [m] and quaternion xyzw, as simulated.
 
-        Parameters
-        ----------
-        frame
-            "mesh": of the object's mesh file, in metres; "com": with the same axes at the centre of mass.
-
-        Raises
-        ------
-        UnknownName
-            There is no such frame.
+        `frame`: "mesh": of the object's mesh file, in metres; "com": with the same axes at the centre of
+        mass. Raises UnknownName: there is no such frame.
         """
         poses = self.rows["base_to_object"].astype(np.float64)
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
@@ -237,18 +230,9 @@ class JournalSection(NamedTuple):
 def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
     """The nominal evaluations in a run's folder that got as far as `least`, in journal order.
 
-    Parameters
-    ----------
-    folder
-        Any run's, also while it goes on: what is recorded by now.
-    least
-        `DROPPED`: all successes; `MISSED`: all that were simulated. A pruned or merged folder has kept
-        successes alone.
-
-    Raises
-    ------
-    FolderError
-        The folder cannot be read, or has no scene yet.
+    `folder`: any run's, also while it goes on: what is recorded by now. `least`: `DROPPED`: all successes;
+    `MISSED`: all that were simulated. A pruned or merged folder has kept successes alone. Raises FolderError:
+    the folder cannot be read, or has no scene yet.
     """
     scene = folder.scene()
     with folder.journal() as journal:

@@ -120,10 +120,7 @@ class GraspGenFile(Struct):
 def read(path: Path, payload: bytes) -> ImportedGrasps:
     """The grasps and failures in a JSON file of such a folder, of ours or of others.
 
-    Raises
-    ------
-    Unusable
-        It is another JSON file.
+    Raises Unusable: it is another JSON file.
     """
     file = decode_json(path, payload, GraspGenFile)
     matrices = to_array(path, "transforms", file.grasps.transforms, (4, 4))

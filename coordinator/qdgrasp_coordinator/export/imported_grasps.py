@@ -27,12 +27,7 @@ Kind = TypeVar("Kind", bound=Struct)
 class UnreadableGrasps(InputError):
     """A file that no grasps can be read from.
 
-    Parameters
-    ----------
-    path
-        The file.
-    reason
-        Why not; lines of others become one.
+    `path`: the file. `reason`: why not; lines of others become one.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
@@ -79,10 +74,7 @@ class ImportedGrasps:
 def decode_metadata(path: Path, text: str | bytes) -> GraspMetadata:
     """What a file of ours says of itself, as JSON.
 
-    Raises
-    ------
-    Unusable
-        It says something else.
+    Raises Unusable: it says something else.
     """
     try:
         return msgspec.json.decode(text, type=GraspMetadata)
@@ -93,10 +85,7 @@ def decode_metadata(path: Path, text: str | bytes) -> GraspMetadata:
 def decode_json(path: Path, payload: bytes, kind: type[Kind]) -> Kind:
     """What a JSON text says, as a struct.
 
-    Raises
-    ------
-    Unusable
-        It says something else, or is not JSON.
+    Raises Unusable: it says something else, or is not JSON.
     """
     try:
         return msgspec.json.decode(payload, type=kind)
@@ -109,10 +98,7 @@ def to_array(
 ) -> Floats:
     """Lists of numbers as an array (n, *shape).
 
-    Raises
-    ------
-    Unusable
-        They are not of that shape.
+    Raises Unusable: they are not of that shape.
     """
     try:
         found = np.array(values, dtype=np.float64)
@@ -131,10 +117,7 @@ def to_array(
 def to_words(path: Path, what: str, words: Iterable[str]) -> NDArray[np.str_]:
     """Words as an array (n,).
 
-    Raises
-    ------
-    Unusable
-        One is too long.
+    Raises Unusable: one is too long.
     """
     found = list(words)
     for word in found:
@@ -152,10 +135,8 @@ UNIT_TOLERANCE = 1e-2
 def check_grasps(path: Path, told: ImportedGrasps) -> None:
     """Check that a file tells grasps that can be.
 
-    Raises
-    ------
-    Unusable
-        There is none, a number is not finite or cannot be, or a quaternion is not one of a rotation.
+    Raises Unusable: there is none, a number is not finite or cannot be, or a quaternion is not one of a
+    rotation.
     """
     if not len(told):
         raise UnreadableGrasps(path, "there is none in it")
@@ -175,10 +156,7 @@ def check_grasps(path: Path, told: ImportedGrasps) -> None:
 def check_positions(path: Path, names: NDArray[np.str_], poses: Floats) -> None:
     """Check that poses (n, 7) are finite, and near enough for their digits to tell something.
 
-    Raises
-    ------
-    Unusable
-        One is not.
+    Raises Unusable: one is not.
     """
     finite = np.asarray(np.isfinite(poses).all(axis=1))
     _check_each(path, names, finite, "its pose holds a number that is not finite")
@@ -189,10 +167,7 @@ def check_positions(path: Path, names: NDArray[np.str_], poses: Floats) -> None:
 def check_matrices(path: Path, matrices: Floats) -> None:
     """Check that matrices (n, 4, 4) are homogeneous ones of rigid motions.
 
-    Raises
-    ------
-    Unusable
-        One is not.
+    Raises Unusable: one is not.
     """
     turns = matrices[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):

@@ -48,10 +48,7 @@ class ObjectFrame:
 def hand_named(name: str) -> SceneGripper:
     """The gripper of the catalog with this name, or the one whose TOML file this is.
 
-    Raises
-    ------
-    UnknownName, UnknownKey, AssetError
-        As in `catalog.build_scene`.
+    Raises UnknownName or UnknownKey or AssetError: as in `catalog.build_scene`.
     """
     return find_gripper(name).on_carrier("paper")
 
@@ -59,10 +56,7 @@ def hand_named(name: str) -> SceneGripper:
 def object_frame(name: str, scale: float | None = None) -> ObjectFrame:
     """The object of the catalog with this name, or the one whose mesh file this is.
 
-    Raises
-    ------
-    UnknownName, AssetError
-        As in `catalog.build_scene`.
+    Raises UnknownName or AssetError: as in `catalog.build_scene`.
     """
     check_object(name)
     if name in object_names():
@@ -91,10 +85,7 @@ class ImportFormat(NamedTuple):
 def read_grasp_file(path: Path) -> ImportedGrasps:
     """The grasps in a file of any format that is known, checked.
 
-    Raises
-    ------
-    Unusable
-        It cannot be read, is of no known format, is damaged, or tells what cannot be.
+    Raises Unusable: it cannot be read, is of no known format, is damaged, or tells what cannot be.
     """
     head = _read_head(path)
     for reader in READERS:
@@ -184,10 +175,7 @@ class ImportedPoses:
     def write(self, out: OutFile) -> None:
         """Write the poses.
 
-        Raises
-        ------
-        DiskFull, OutputError
-            They cannot be written.
+        Raises DiskFull or OutputError: they cannot be written.
         """
         with out.writing() as made, made.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **self.arrays)
@@ -198,16 +186,9 @@ def import_poses(
 ) -> ImportedPoses:
     """The grasps in a file, for a hand and an object.
 
-    Parameters
-    ----------
-    frame
-        In which frame of the object the file tells poses; None: as it says, or that of the mesh.
-
-    Raises
-    ------
-    Unusable
-        The file cannot be read, says that poses are told in another frame, or names synergies that the hand
-        does not have.
+    `frame`: in which frame of the object the file tells poses; None: as it says, or that of the mesh. Raises
+    Unusable: the file cannot be read, says that poses are told in another frame, or names synergies that the
+    hand does not have.
     """
     told = read_grasp_file(path)
     _check_frame(path, told, frame)

@@ -91,10 +91,7 @@ def _mapping(names: list[str], values: list[str]) -> str:
 def read(path: Path) -> ImportedGrasps:
     """The grasps in an Isaac Grasp YAML file, of ours or of others.
 
-    Raises
-    ------
-    Unusable
-        It is damaged, or is another YAML file.
+    Raises Unusable: it is damaged, or is another YAML file.
     """
     tree = read_yaml(path)
     if isinstance(tree, dict) and "qdgrasp" in tree and isinstance(tree.get("grasps"), list):

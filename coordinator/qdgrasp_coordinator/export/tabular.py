@@ -25,8 +25,7 @@ from qdgrasp_coordinator.export.metadata import GraspMetadata
 from qdgrasp_coordinator.export.text_format import shortest_decimals
 from qdgrasp_protocol.rows import Outcome
 
-JOINT, PREGRASP = "joint.", "pregrasp."
-"""What the columns of joints begin with; the joint's name follows."""
+JOINT, PREGRASP = "joint.", "pregrasp."  # What the columns of joints begin with; the joint's name follows
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 
@@ -162,10 +161,7 @@ def _arrow_array(values: NDArray[np.generic]) -> Any:
 def read_parquet(path: Path) -> ImportedGrasps:
     """The grasps in a Parquet file that `write` wrote.
 
-    Raises
-    ------
-    Unusable
-        It is damaged, or is another Parquet file.
+    Raises Unusable: it is damaged, or is another Parquet file.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq

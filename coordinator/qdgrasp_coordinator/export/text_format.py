@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.export.imported_grasps import LONGEST, UnreadableGrasps
 
-DecimalLines = list[list[str]]
-"""Numbers of a table as text, line by line."""
+DecimalLines = list[list[str]]  # Numbers of a table as text, line by line
 
 
 def table_decimals(table: NDArray[np.floating]) -> DecimalLines:
@@ -46,8 +45,7 @@ RESERVED_WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 DEEPEST = 16  # Levels of lists and mappings in a file that is read
 LARGEST_YAML = 1 << 28  # Bytes of a file that is read
 
-Tree = str | list["Tree"] | dict[str, "Tree"]
-"""What a file holds; every number is still a word."""
+Tree = str | list["Tree"] | dict[str, "Tree"]  # What a file holds; every number is still a word
 
 
 def yaml_word(name: str) -> str:
@@ -86,10 +84,7 @@ def read_yaml(path: Path) -> Tree:
     Aliases are refused, since a small file of them can stand for a huge one, and so are tags: nothing in it
     is ever made into an object.
 
-    Raises
-    ------
-    Unusable
-        It cannot be read, is not YAML, or is refused.
+    Raises Unusable: it cannot be read, is not YAML, or is refused.
     """
     import yaml
 

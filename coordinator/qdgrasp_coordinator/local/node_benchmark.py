@@ -36,8 +36,7 @@ BENCH_JOB = "bench"
 ENDLESS = 10**9
 IN_FLIGHT = 4  # Generations in flight: no worker waits for another one's batch
 GENERATION_SECONDS = 0.2  # Time that a generation is to take all workers [s]
-LEAST_GENOMES, MOST_GENOMES = 4, 1024
-"""Genomes in a generation, for each worker."""
+LEAST_GENOMES, MOST_GENOMES = 4, 1024  # Genomes in a generation, for each worker
 _END = object()
 
 
@@ -67,12 +66,8 @@ class SceneMeasurement:
 class SceneBenchmark:
     """A measurement of one scene.
 
-    Parameters
-    ----------
-    workers
-        How many processes there are in the end, 1 or more.
-    seconds
-        How long each regime is measured.
+    `workers`: how many processes there are in the end, 1 or more. `seconds`: how long each regime is
+    measured.
     """
 
     def __init__(
@@ -103,10 +98,7 @@ class SceneBenchmark:
     def run(self, bus: Bus, endpoint: str, crew: ProcessGroup, stop: Stop) -> SceneMeasurement | None:
         """Measure on a bus whose router listens on `endpoint`; None where it was asked to stop.
 
-        Raises
-        ------
-        InputError
-            A worker cannot work here; the reason is its own.
+        Raises InputError: a worker cannot work here; the reason is its own.
         """
         over = Stop()  # of this job alone
         stop.tell(lambda: over.set(0))

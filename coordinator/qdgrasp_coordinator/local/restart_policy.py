@@ -35,10 +35,7 @@ class RestartPolicy:
     A process that was killed, or that ended without a sentence, is started again after a while. A coordinator
     that ended with a sentence has decided to; the job then ends with that sentence.
 
-    Parameters
-    ----------
-    hire_coordinator
-        Starts the coordinator again; None: there is no such process.
+    `hire_coordinator`: starts the coordinator again; None: there is no such process.
     """
 
     def __init__(
@@ -62,12 +59,8 @@ class RestartPolicy:
     def look(self, now: float) -> None:
         """Count deaths, and restart the processes that may be.
 
-        Raises
-        ------
-        InputError
-            A process ended with a sentence that names bad input or environment.
-        EndedEarly
-            The coordinator decided to end, or was told to, or a process dies again and again.
+        Raises InputError: a process ended with a sentence that names bad input or environment. EndedEarly:
+        the coordinator decided to end, or was told to, or a process dies again and again.
         """
         for death in self._crew.deaths():
             if death.name == COORDINATOR:

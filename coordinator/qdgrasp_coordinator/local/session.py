@@ -62,21 +62,9 @@ class LocalSession:
     ) -> None:
         """Carry out a programme in this thread, until it is done or the job is ended.
 
-        Parameters
-        ----------
-        make_record
-            Makes the record that takes a run's rows.
-        batch_size
-            Rows in a batch; None: measured.
-        look
-            Called at every step.
-
-        Raises
-        ------
-        EndedEarly
-            The job was cancelled, or processes die again and again.
-        RunsFailed
-            Runs could not be carried out.
+        `make_record`: makes the record that takes a run's rows. `batch_size`: rows in a batch; None:
+        measured. `look`: called at every step. Raises EndedEarly: the job was cancelled, or processes die
+        again and again. RunsFailed: runs could not be carried out.
         """
         service = CoordinatorService(
             self.bus, stop, job=self.job, programme=programme, make_record=make_record, batch_size=batch_size
@@ -102,12 +90,7 @@ def open_session(
 ) -> Iterator[LocalSession]:
     """Open a job's session; leaving it ends the started processes and the bus session.
 
-    Parameters
-    ----------
-    logs
-        The folder in which each process has a log.
-    bus
-        A session, opened here.
+    `logs`: the folder in which each process has a log. `bus`: a session, opened here.
     """
     with bus, ProcessGroup(logs, GRACE) as crew:
         yield LocalSession(job, bus, endpoint, proof, crew, display, RestartPolicy(crew, display))
@@ -123,19 +106,8 @@ def run_temporary_job(
 ) -> None:
     """Carry out a programme with workers of this machine until it is done or a signal comes.
 
-    Parameters
-    ----------
-    job
-        Its name on the bus, which no other process uses.
-    make_record
-        Makes the record that takes a run's rows.
-
-    Raises
-    ------
-    EndedEarly
-        Workers die again and again.
-    RunsFailed
-        Runs could not be carried out.
+    `job`: its name on the bus, which no other process uses. `make_record`: makes the record that takes a
+    run's rows. Raises EndedEarly: workers die again and again. RunsFailed: runs could not be carried out.
     """
     with (
         tempfile.TemporaryDirectory(prefix="qdgrasp-") as logs,

@@ -77,12 +77,8 @@ class Supervisor:
     def run(self) -> None:
         """Carry the job out to its end.
 
-        Raises
-        ------
-        EndedEarly
-            The job was cancelled, or processes die again and again; `qdgrasp resume` goes on.
-        InputError
-            A process ended with a sentence that names bad input or environment.
+        Raises EndedEarly: the job was cancelled, or processes die again and again; `qdgrasp resume` goes on.
+        InputError: a process ended with a sentence that names bad input or environment.
         """
         self._stop.tell(lambda: self._news.put(None))
         with ExitStack() as stack:

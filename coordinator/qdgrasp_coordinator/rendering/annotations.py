@@ -71,16 +71,9 @@ def arrange_labels(
 ) -> Iterator[tuple[Label, LabelSpot]]:
     """Labels with their spots, those that are needed first; each at its first spot that is free.
 
-    Parameters
-    ----------
-    lines
-        Boxes that all labels keep clear of.
-    dots
-        Boxes that labels which may be left out keep clear of; in a film dots come and go, and names stay.
-    width
-        Of the picture, beyond which no letter lies.
-    length
-        Returns the length of a label.
+    `lines`: boxes that all labels keep clear of. `dots`: boxes that labels which may be left out keep clear
+    of; in a film dots come and go, and names stay. `width`: of the picture, beyond which no letter lies.
+    `length`: returns the length of a label.
     """
     taken, dots = list(lines), list(dots)
     for label in sorted(labels, key=lambda label: not label.is_needed):
@@ -112,17 +105,13 @@ SUPERSAMPLING = 3  # Factor by which lines are drawn finer than they are shown
 FONT_FILE = "DejaVuSans.ttf"
 LINE_BOX_STEP = 2.0  # Spacing of the boxes along a line that words keep clear of [pixels]
 HALO_COLOUR = "white"  # Colour behind words, so that they can be read over anything
-PixelPoint = tuple[float, float]
-"""Column and row."""
+PixelPoint = tuple[float, float]  # Column and row
 
 
 class Canvas:
     """A picture that is drawn over.
 
-    Parameters
-    ----------
-    image
-        (rows, columns, 3), uint8.
+    `image`: (rows, columns, 3), uint8.
     """
 
     def __init__(self, image: NDArray[np.uint8]) -> None:
@@ -249,10 +238,7 @@ Floats = NDArray[np.float64]
 class SceneAnnotations:
     """Draws frames, the approach axis and contacts over the pictures of one replay.
 
-    Parameters
-    ----------
-    size
-        Of the words [pixels].
+    `size`: of the words [pixels].
     """
 
     def __init__(self, gripper: SceneGripper, camera: ReplayCamera, size: int) -> None:

@@ -88,18 +88,10 @@ def draw_grasps(
 ) -> None:
     """Draw what a run has found.
 
-    Parameters
-    ----------
-    scene
-        The run's scene.
-    rows
-        Its rows in journal order; there may be no success among them.
-    path
-        The PNG file to write, in a folder that exists.
-    spec
-        Names method and seed in the title, and says whether overlaps count as evaluations.
-    pixels
-        Width of the view of the hands; the picture is 1.8 times as wide.
+    `scene`: the run's scene. `rows`: its rows in journal order; there may be no success among them. `path`:
+    the PNG file to write, in a folder that exists. `spec`: names method and seed in the title, and says
+    whether overlaps count as evaluations. `pixels`: width of the view of the hands; the picture is 1.8 times
+    as wide.
     """
     nominal = rows[rows["trial"] == 0]
     successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
@@ -223,8 +215,7 @@ CLOSE_TOGETHER = 0.01  # What an object is drawn in is at least so wide [m]
 OPEN_EDGE_COLOUR = "#d62728"
 STANDOFF_COLOUR = "#aa3377"
 
-PaintedMesh = tuple[Mesh, Floats]
-"""A mesh and its colour (3,)."""
+PaintedMesh = tuple[Mesh, Floats]  # A mesh and its colour (3,)
 Point3 = NDArray[np.floating]
 
 

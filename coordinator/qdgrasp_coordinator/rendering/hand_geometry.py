@@ -35,12 +35,8 @@ class HandGeometry:
     def posed(self, base_to_object: Floats, joints: Floats) -> Iterator[tuple[CollisionShape, Floats]]:
         """Each shape with its vertices (v, 3) [m] in the object's CoM frame.
 
-        Parameters
-        ----------
-        base_to_object
-            (7,): position [m] and quaternion xyzw of the hand's root link.
-        joints
-            (j,): finger joint positions [rad or m], in the gripper's order.
+        `base_to_object`: (7,): position [m] and quaternion xyzw of the hand's root link. `joints`: (j,):
+        finger joint positions [rad or m], in the gripper's order.
         """
         frames = self.frames(base_to_object, joints)
         for shape in self.shapes:
@@ -50,14 +46,7 @@ class HandGeometry:
     def lowest(self, base_to_object: Floats, joints: Floats, up: Floats) -> Floats:
         """How low hands reach: (n,) [m], the least of their points' components along `up`.
 
-        Parameters
-        ----------
-        base_to_object
-            (n, 7), as in `posed`.
-        joints
-            (n, j).
-        up
-            (3,), unit, the object's CoM frame.
+        `base_to_object`: (n, 7), as in `posed`. `joints`: (n, j). `up`: (3,), unit, the object's CoM frame.
         """
         frames = self.frames(base_to_object, joints)
         lowest = np.full(len(base_to_object), np.inf)
@@ -71,12 +60,7 @@ class HandGeometry:
     def frames(self, base_to_object: Floats, joints: Floats) -> dict[str, Floats]:
         """Each link's frame (..., 4, 4) in the object's CoM frame.
 
-        Parameters
-        ----------
-        base_to_object
-            (..., 7), as in `posed`.
-        joints
-            (..., j).
+        `base_to_object`: (..., 7), as in `posed`. `joints`: (..., j).
         """
         names = [joint.name for joint in self.gripper.joints]
         positions = dict(zip(names, np.moveaxis(joints, -1, 0), strict=True))
@@ -149,10 +133,7 @@ def table_under(scene: Scene, object_to_world: Rotation = AS_MODELLED) -> TableP
 def orientation(words: str) -> Rotation:
     """How an object is turned: a quaternion "x,y,z,w", or angles "x,y,z" about the fixed axes in turn [deg].
 
-    Raises
-    ------
-    ImpossibleValue
-        It is neither.
+    Raises ImpossibleValue: it is neither.
     """
     found = parse_numbers(words)
     if len(found) == 3 and np.isfinite(found).all():

@@ -28,8 +28,7 @@ from qdgrasp_coordinator.rendering.ray_renderer import (
 )
 from qdgrasp_protocol.rows import Outcome, Rows
 
-MOST_HANDS, LEAST_HANDS = 8, 3
-"""Grasps in one picture: many of a jaw, few of a hand."""
+MOST_HANDS, LEAST_HANDS = 8, 3  # Grasps in one picture: many of a jaw, few of a hand
 MOST_LINKS = 24  # Finger links in one picture, at which it is still clear
 CANDIDATES = 4000  # Grasps looked at; of more, evenly many are left out
 LEAST_DISTANCE = 0.035
@@ -43,14 +42,8 @@ BROAD_SHARE = 0.97  # A side counts as broad when the object's outline fills thi
 def best_side(thing: Mesh, rows: Rows, gripper: SceneGripper, elevation: float) -> float:
     """The azimuth [rad] that shows most of the object, and of these the one that shows grasps farthest apart.
 
-    Parameters
-    ----------
-    thing
-        The object.
-    rows, gripper
-        As in `spread_grasps`.
-    elevation
-        How high the camera stands [rad].
+    `thing`: the object. `rows`, `gripper`: as in `spread_grasps`. `elevation`: how high the camera stands
+    [rad].
     """
     views = [fit_camera(thing.vertices, azimuth, elevation, 100, 100) for azimuth in AZIMUTHS]
     outlines = np.array([ConvexHull(view.seen(thing.vertices)[:, :2]).volume for view in views])
@@ -71,14 +64,7 @@ def _spread(chosen: Rows, gripper: SceneGripper, view: ParallelCamera) -> float:
 def spread_grasps(rows: Rows, gripper: SceneGripper, camera: ParallelCamera) -> Rows:
     """A few rows: robust ones where there are any, else grasps, else successes.
 
-    Parameters
-    ----------
-    rows
-        Successes.
-    gripper
-        The hand.
-    camera
-        Where they are seen from.
+    `rows`: successes. `gripper`: the hand. `camera`: where they are seen from.
     """
     best = _best_rows(rows)
     if not len(best):

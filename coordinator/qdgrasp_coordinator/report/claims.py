@@ -19,8 +19,7 @@ RESAMPLES = 5000
 CONFIDENCE_LEVEL = 0.95
 RESAMPLING_SEED = 0
 RunValues = NDArray[np.float64]
-ScenesOfRuns = Sequence[RunValues]
-"""For each scene the values of its runs (n,)."""
+ScenesOfRuns = Sequence[RunValues]  # For each scene the values of its runs (n,)
 
 
 @dataclass(frozen=True)
@@ -101,8 +100,7 @@ def resample(
 
 
 FEW_RUNS = 5  # With fewer runs than this in an arm, a bootstrap interval is narrower than it should be
-GroupsByScene = dict[SceneName, dict[str, RunGroup]]
-"""On each scene, the entry of each method."""
+GroupsByScene = dict[SceneName, dict[str, RunGroup]]  # On each scene, the entry of each method
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,7 @@ PRIOR_ORDER = ("aimed", "contact", "approach", "antipodal", "spherical")
 """The priors as they stand in legends and side by side: the default method's leads."""
 
 
-MethodVariant = tuple[str, str]
-"""A method, and the words that tell its variant from others."""
+MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
 
 
 class LineStyle(NamedTuple):

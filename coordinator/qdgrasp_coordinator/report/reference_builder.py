@@ -27,8 +27,7 @@ from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.text import quoted
 
 SetsByObject = dict[str, ReferenceSet]
-ReachedCells = tuple[NDArray[np.int64], NDArray[np.uint8]]
-"""Cells (n, 3) and the fitness in each (n,)."""
+ReachedCells = tuple[NDArray[np.int64], NDArray[np.uint8]]  # Cells (n, 3) and the fitness in each (n,)
 
 
 def build_reference_sets(

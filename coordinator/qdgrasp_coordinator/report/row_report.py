@@ -36,10 +36,7 @@ ContextKey = tuple[Path, float, str, int]
 class RowContextCache:
     """The legends of journals; any thread may ask.
 
-    Raises
-    ------
-    FolderError
-        The scene of a run cannot be read.
+    Raises FolderError: the scene of a run cannot be read.
     """
 
     def __init__(self) -> None:
@@ -87,12 +84,7 @@ OUTCOME_MEANINGS = {
 class NoSuchRow(InputError):
     """A number that no row of a journal has.
 
-    Parameters
-    ----------
-    rows
-        How many there are.
-    nearest
-        The success that is nearest to it; None: there is none.
+    `rows`: how many there are. `nearest`: the success that is nearest to it; None: there is none.
     """
 
     def __init__(self, folder: Path, number: int, rows: int, nearest: int | None) -> None:
@@ -230,12 +222,7 @@ class RowReport(Struct, frozen=True, kw_only=True):
 def row_report(folder: RunFolder, number: int) -> RowReport:
     """Everything that is known about a row by its number in the journal, also while the run goes on.
 
-    Raises
-    ------
-    NoSuchRow
-        The journal has no such row.
-    FolderError
-        The folder cannot be read.
+    Raises NoSuchRow: the journal has no such row. FolderError: the folder cannot be read.
     """
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
@@ -259,10 +246,7 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
 def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
     """The row of a number in a folder's journal.
 
-    Raises
-    ------
-    NoSuchRow
-        The journal has none.
+    Raises NoSuchRow: the journal has none.
     """
     if not 0 <= number < journal.count:
         raise NoSuchRow(folder.path, number, journal.count, _last_success(journal))

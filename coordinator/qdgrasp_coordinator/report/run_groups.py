@@ -98,10 +98,7 @@ def search_run_folders(path: Path) -> list[RunFolder]:
     Those that score given poses are passed over: they searched nothing. What a run found is read from its
     spec, scene and journal; the files of its job are not needed.
 
-    Raises
-    ------
-    NoFolder, FolderError
-        There is no such folder, or no run of a search in it.
+    Raises NoFolder or FolderError: there is no such folder, or no run of a search in it.
     """
     atomic_files.check_folder(path)
     home = path / RUNS if (path / RUNS).is_dir() else path

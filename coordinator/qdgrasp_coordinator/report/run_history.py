@@ -132,10 +132,7 @@ def has_curves(folder: RunFolder) -> bool:
 def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
     """Read what a run found, also while it goes on.
 
-    Raises
-    ------
-    FolderError
-        Its journal cannot be read, or does not hold enough of it (`has_curves`).
+    Raises FolderError: its journal cannot be read, or does not hold enough of it (`has_curves`).
     """
     spec = folder.spec
     with folder.journal() as journal:

@@ -28,8 +28,7 @@ from qdgrasp_coordinator.report.run_history import NU_BINS, RunHistory
 from qdgrasp_protocol.text import counted, first_few
 
 Value = str | int | float | None
-Row = dict[str, Value]
-"""Columns by name; None where there is no number."""
+Row = dict[str, Value]  # Columns by name; None where there is no number
 
 
 def run_rows(entries: Iterable[RunGroup]) -> list[Row]:

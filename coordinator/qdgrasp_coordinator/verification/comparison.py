@@ -114,10 +114,7 @@ PLATFORM_SAME = "It was recorded on this very platform, on which it must be the 
 def compare_rows(recorded: Rows, now: Rows) -> dict[str, NDArray[np.bool_]]:
     """Return for each result column which rows (n,) differ in any bit.
 
-    Parameters
-    ----------
-    recorded, now
-        (n,) of one shape, with the same keys.
+    `recorded`, `now`: (n,) of one shape, with the same keys.
     """
     return {column.name: _bits_differ(recorded[column.name], now[column.name]) for column in RESULT}
 

@@ -114,10 +114,7 @@ LEGEND_GAP = 12  # Least difference of a film's colours from those of marks, in 
 class PictureLayout:
     """Division of a picture of some size: the scene above, words below.
 
-    Parameters
-    ----------
-    size
-        Of the whole picture.
+    `size`: of the whole picture.
     """
 
     def __init__(self, size: PictureSize) -> None:
@@ -253,23 +250,10 @@ WRITERS: dict[str, Callable[[Path, Sequence[Image.Image], Sequence[ReplayFrame]]
 def write_evaluation(shown: ReplayTarget, wish: ReplayOptions, out: OutFile, stop: Stop) -> list[str]:
     """Replay a row and write its picture or film.
 
-    Parameters
-    ----------
-    wish
-        Its size is that of the whole picture, caption and all.
-
-    Returns
-    -------
-    unlike
-        What the replay found in place of what is recorded, column by column; nothing where they agree, and of
-        a dead end, which was not simulated.
-
-    Raises
-    ------
-    InputError
-        The part that is asked for did not happen, or the file cannot be written.
-    NotReplayed
-        It could not be replayed.
+    `wish`: its size is that of the whole picture, caption and all. Returns what the replay found in place of
+    what is recorded, column by column; nothing where they agree, and of a dead end, which was not simulated.
+    Raises InputError: the part that is asked for did not happen, or the file cannot be written. NotReplayed:
+    it could not be replayed.
     """
     layout = PictureLayout(wish.size)
     with replay_evaluation(shown, replace(wish, size=layout.scene), stop) as replay:

@@ -35,10 +35,7 @@ from qdgrasp_protocol.rows import Outcome, Rows
 def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Scene) -> Rows:
     """Rows of a folder in the shape that a worker evaluates them in.
 
-    Raises
-    ------
-    FolderError
-        They are of a version with other genes.
+    Raises FolderError: they are of a version with other genes.
     """
     prior = method(found_by.spec.method).prior
     shape, genes = row_shape(scene, prior), rows.dtype["genome"].shape[0]
@@ -104,12 +101,8 @@ class NoSuchTrial(InputError):
 def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> ReplayTarget:
     """A row by its number in a folder's journal, or one of the trials of what it evaluates.
 
-    Raises
-    ------
-    NoSuchRow, NoSuchTrial, NoPose
-        There is no such row or trial, or nothing of it to show.
-    FolderError
-        The folder cannot be read.
+    Raises NoSuchRow or NoSuchTrial or NoPose: there is no such row or trial, or nothing of it to show.
+    FolderError: the folder cannot be read.
     """
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
@@ -200,12 +193,7 @@ def replay_evaluation(
 ) -> Iterator[ReplayedEvaluation | None]:
     """The replay of a row, while its frames are looked at; None where a signal came first.
 
-    Raises
-    ------
-    InputError
-        The part that is asked for did not happen.
-    NotReplayed
-        It could not be replayed.
+    Raises InputError: the part that is asked for did not happen. NotReplayed: it could not be replayed.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         folder = Path(name)

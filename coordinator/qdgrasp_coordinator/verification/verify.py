@@ -171,10 +171,7 @@ class ComparisonCounts:
 def run_folders_at(path: Path) -> list[RunFolder]:
     """The runs at `path`: that of a run's own folder, or those of a campaign.
 
-    Raises
-    ------
-    FolderError
-        There is neither.
+    Raises FolderError: there is neither.
     """
     if JobFolder.is_job(path) and JobFolder(path).is_campaign:
         return [RunFolder.open(run) for run in JobFolder(path).run_paths]
@@ -186,10 +183,7 @@ def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> li
 
     Left out are rows on which the simulator failed: a machine may have been to blame.
 
-    Raises
-    ------
-    InputError
-        There are none.
+    Raises InputError: there are none.
     """
     stocks = [stock for folder in folders for stock in _comparable_rows(folder)]
     kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *(stock.kinds for stock in stocks)])
@@ -204,12 +198,7 @@ def verify_rows(
 ) -> VerificationReport:
     """Evaluate rows again with workers of this machine, and compare every result bit for bit.
 
-    Raises
-    ------
-    RunsFailed
-        A folder cannot be read.
-    EndedEarly
-        Workers die again and again.
+    Raises RunsFailed: a folder cannot be read. EndedEarly: workers die again and again.
     """
     found = ComparisonCounts()
     run_temporary_job(
