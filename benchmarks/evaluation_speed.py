@@ -309,7 +309,7 @@ def _pair(pair: Pair, seconds: float) -> Iterator[Figure]:
         while not regimes.has_looked:
             looking.skip(ROWS_AT_ONCE)
         for regime in (PoseRegime.ANYWHERE, PoseRegime.NEAR):
-            regimes.turn(regime, ROWS_AT_ONCE)
+            regimes.start_regime(regime, ROWS_AT_ONCE)
             lot = TimedEvaluations(
                 f"{name}, {regime.value}", regimes, BENCH_PRIOR, evaluator, naive, regimes.since
             )
@@ -404,7 +404,7 @@ def _serve(pipe: Connection, number: int) -> None:
         pipe.send(None)
         while (asked := pipe.recv()) is not None:
             regime, seconds = asked
-            regimes.turn(regime, ROWS_AT_ONCE)
+            regimes.start_regime(regime, ROWS_AT_ONCE)
             began, cpu, rows = time.perf_counter(), time.process_time(), 0
             while time.perf_counter() < began + seconds:
                 rows += lot.one(BATCHES[regime])

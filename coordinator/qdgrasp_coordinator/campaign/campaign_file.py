@@ -6,7 +6,7 @@ Mesh files are read before anything is begun, so that all faults are told at onc
 import csv
 import hashlib
 import itertools
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -118,8 +118,8 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
     """Return the campaign of a file's content; parameters and errors as of `read_campaign`."""
     _check_tables(source, where)
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.taken(CAMPAIGN_DEFAULTS | source.get("defaults", {}))
-    crosses = [assets.taken(cross) for cross in source["cross"]]
+    defaults = assets.resolve(CAMPAIGN_DEFAULTS | source.get("defaults", {}))
+    crosses = [assets.resolve(cross) for cross in source["cross"]]
     objects = {absolute_asset(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
     for values, known in _cross_lists(defaults, crosses, objects, where):
@@ -131,19 +131,23 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
 
 
-def run_name(spec: RunSpec, said: Mapping[str, Any]) -> str:
+def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
     """Return the name of a run: gripper, object, method, seed, and whatever is not as usual.
 
-    `said`: the values that the campaign gave for it; when it ends is no part of its name.
+    `values`: the values that the campaign gave for it; when it ends is no part of its name.
     """
     parts = [Path(spec.gripper).stem, Path(spec.object).stem, spec.method, f"s{spec.seed}"]
     usual = full_spec(
         CAMPAIGN_DEFAULTS | {key: getattr(spec, key) for key in ("gripper", "object", "method")}
     )
-    others = sorted(said.keys() - {*NAME_KEYS, *STOP_KEYS})
-    told = [key for key in others if getattr(spec, key) != getattr(usual, key)]
-    parts += [f"{SHORT_KEYS.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in told]
-    return _shortened("-".join(parts))
+    others = sorted(values.keys() - {*NAME_KEYS, *STOP_KEYS})
+    unusual = [key for key in others if getattr(spec, key) != getattr(usual, key)]
+    parts += [f"{SHORT_KEYS.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in unusual]
+    name = "-".join(parts)
+    if len(name) <= LONGEST_NAME:
+        return job_name(name)
+    mark = hashlib.sha256(name.encode()).hexdigest()[:8]
+    return f"{job_name(name)[: LONGEST_NAME - 9]}-{mark}"
 
 
 class AssetNames:
@@ -157,10 +161,14 @@ class AssetNames:
         self.scans: dict[str, None] = {}
         self.stand_ins: dict[str, None] = {}
 
-    def taken(self, values: dict[str, Any]) -> dict[str, Any]:
+    def resolve(self, values: dict[str, Any]) -> dict[str, Any]:
         """Values of a crossing with its files as absolute paths and its objects as they are taken."""
-        takers = {"gripper": absolute_asset, "object": self._object}
-        return {key: _map_values(value, takers.get(key, lambda one: one)) for key, value in values.items()}
+        resolved = dict(values)
+        for key, act in (("gripper", absolute_asset), ("object", self._object)):
+            if key in values:
+                value = values[key]
+                resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)
+        return resolved
 
     def _object(self, name: Any) -> Any:
         scan = f"{ycb.PREFIX}{name}"
@@ -171,10 +179,6 @@ class AssetNames:
             return name
         self.scans[name] = None
         return scan
-
-
-def _map_values(value: Any, act: Callable[[Any], Any]) -> Any:
-    return [act(one) for one in value] if isinstance(value, list) else act(value)
 
 
 def _check_assets(specs: Collection[RunSpec]) -> None:
@@ -231,8 +235,8 @@ def _cross_lists(
         axes = [whole[key] if isinstance(whole[key], list) else [whole[key]] for key in order]
         for each in itertools.product(*axes):
             values = dict(zip(order, each, strict=True))
-            told = objects.get(values.get("object", ""), {})
-            known = {key: value for key, value in told.items() if key not in cross}
+            own = objects.get(values.get("object", ""), {})
+            known = {key: value for key, value in own.items() if key not in cross}
             yield {key: value for key, value in values.items() if key not in known}, known
 
 
@@ -244,14 +248,6 @@ def _add_run(runs: dict[str, RunSpec], values: dict[str, Any], known: dict[str, 
             f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
             "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
         )
-
-
-def _shortened(name: str) -> str:
-    """Return a name in the allowed characters; a long one is cut, and marked by its digest."""
-    if len(name) <= LONGEST_NAME:
-        return job_name(name)
-    mark = hashlib.sha256(name.encode()).hexdigest()[:8]
-    return f"{job_name(name)[: LONGEST_NAME - 9]}-{mark}"
 
 
 MASS_TABLE = "masses.csv"  # The table of masses in a folder of meshes
@@ -270,7 +266,7 @@ class MassRule:
     density: float | None = None
     """Density of each [kg/m3]."""
 
-    def of(self, draft: ObjectDraft) -> float | None:
+    def mass_of(self, draft: ObjectDraft) -> float | None:
         """The mass of a mesh [kg]; None: it is not said."""
         if self.density is None:
             return self.mass
@@ -278,20 +274,20 @@ class MassRule:
 
 
 def campaign_of_meshes(
-    folder: Path, weighing: MassRule, scale: float | None, said: Mapping[str, Any]
+    folder: Path, mass_rule: MassRule, scale: float | None, values: Mapping[str, Any]
 ) -> Campaign:
     """The campaign of all meshes in a folder.
 
-    `scale`: metres to a unit of each file; None: 1. `said`: values or lists of keys of a spec, crossed as in
-    a campaign's file; None: not said. Raises InputError: as in `mesh_values`, or a run is asked for that
+    `scale`: metres to a unit of each file; None: 1. `values`: values or lists of keys of a spec, crossed as
+    in a campaign's file; None: not said. Raises InputError: as in `mesh_values`, or a run is asked for that
     cannot be.
     """
-    known = mesh_values(folder, weighing, scale)
-    cross = {key: value for key, value in said.items() if value is not None} | {"object": list(known)}
+    known = mesh_values(folder, mass_rule, scale)
+    cross = {key: value for key, value in values.items() if value is not None} | {"object": list(known)}
     return make_campaign({"cross": [cross], "objects": known}, f"campaign of {folder}")
 
 
-def mesh_values(folder: Path, weighing: MassRule, scale: float | None) -> dict[str, dict[str, float]]:
+def mesh_values(folder: Path, mass_rule: MassRule, scale: float | None) -> dict[str, dict[str, float]]:
     """Return the keys `mass` and `scale` of a spec for every mesh in a folder, by its path.
 
     Raises InputError: there is no such folder, no mesh in it, or its table of masses cannot be read.
@@ -303,7 +299,7 @@ def mesh_values(folder: Path, weighing: MassRule, scale: float | None) -> dict[s
     known: dict[str, dict[str, float]] = {}
     for name, file in files.items():
         draft = _read_mesh(file, scale)
-        mass = masses[name] if name in masses else weighing.of(draft)
+        mass = masses[name] if name in masses else mass_rule.mass_of(draft)
         why = _mesh_fault(draft, mass)
         if why or mass is None:
             faults.setdefault(name, why)
@@ -321,10 +317,11 @@ def check_meshes(specs: Iterable[RunSpec]) -> None:
     """
     named = STAND_INS.keys() | SCANS.keys()
     wanted = {(spec.object, spec.scale): spec.mass for spec in specs if spec.object not in named}
-    faults: dict[str, str] = {}
-    for (name, scale), mass in wanted.items():
-        if why := _mesh_fault(_read_mesh(named_path(name), scale), mass):
-            faults[name] = why
+    faults = {
+        name: fault
+        for (name, scale), mass in wanted.items()
+        if (fault := _mesh_fault(_read_mesh(named_path(name), scale), mass))
+    }
     if faults:
         raise UnusableMeshes(len({name for name, _ in wanted}), faults)
 
@@ -335,11 +332,9 @@ def _mesh_fault(draft: ObjectDraft, mass: float | None) -> str:
         return "; and ".join(draft.faults)
     if mass is None:
         return NO_MASS
-    return (
-        ""
-        if 0 < mass <= GREATEST_MASS
-        else f"its mass must be more than 0 and at most {GREATEST_MASS} kg, got {mass:g}"
-    )
+    if not 0 < mass <= GREATEST_MASS:
+        return f"its mass must be more than 0 and at most {GREATEST_MASS} kg, got {mass:g}"
+    return ""
 
 
 def _mesh_files(folder: Path) -> dict[str, Path]:

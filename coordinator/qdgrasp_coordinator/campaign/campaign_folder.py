@@ -5,7 +5,7 @@ has found is cached beside its journal (`found.json`), so that a large campaign 
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -52,6 +52,8 @@ def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluati
 
 
 TOTALS_FILE = "found.json"
+SCENE_KEYS = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
+"""The keys of a spec that its scene depends on."""
 
 
 class CachedTotals(Struct, frozen=True):
@@ -64,21 +66,19 @@ class CachedTotals(Struct, frozen=True):
 def read_cached_totals(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
     """Return the stored totals of a run that was finished under `spec`; None: not known."""
     file = folder.path / TOTALS_FILE
-    if not file.is_file():
-        return None
-    with suppress(FolderError, msgspec.MsgspecError):
-        known = msgspec.json.decode(atomic_files.read(file), type=CachedTotals)
-        if known.mark == _journal_mark(folder, spec):
-            return known.totals
+    if file.is_file():
+        with suppress(FolderError, msgspec.MsgspecError):
+            known = msgspec.json.decode(atomic_files.read(file), type=CachedTotals)
+            if known.mark == _journal_mark(folder, spec):
+                return known.totals
     return None
 
 
-def write_cached_totals(folder: RunFolder, spec: RunSpec, found: RunTotals) -> None:
+def _write_cached_totals(folder: RunFolder, spec: RunSpec, totals: RunTotals) -> None:
     """Store the totals of a finished run; a disk that cannot take them is no error."""
     with suppress(FolderError):
-        atomic_files.replace(
-            folder.path / TOTALS_FILE, msgspec.json.encode(CachedTotals(_journal_mark(folder, spec), found))
-        )
+        cached = CachedTotals(_journal_mark(folder, spec), totals)
+        atomic_files.replace(folder.path / TOTALS_FILE, msgspec.json.encode(cached))
 
 
 def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
@@ -88,8 +88,35 @@ def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
         return " ".join([journal.mark, *ends, version("qdgrasp"), *TOTAL_NAMES])
 
 
-SCENE_KEYS = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
-"""The keys of a spec that its scene depends on."""
+def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
+    """Return the totals of the run that `spec` asks for, where its folder holds all of it.
+
+    None: it is not finished, or its journal cannot be read; the recorder that opens it says why. Raises
+    FolderError or EndsTooSoon where the folder holds a run of another spec, more evaluations than the budget,
+    or successes alone of fewer.
+    """
+    if not RunFolder.is_run(path):
+        return None
+    folder = RunFolder.open(path)
+    if differ := differences(folder.spec, spec):
+        raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
+    try:
+        with folder.journal() as journal:
+            is_reduced = bool(journal.sources)
+        if not is_reduced:
+            if known := read_cached_totals(folder, spec):
+                return known
+            found = count_within_budget(folder, spec)
+            if found.finished:
+                _write_cached_totals(folder, spec, run_totals(found))
+            return run_totals(found) if found.finished else None
+    except ImpossibleValue as reason:
+        raise EndsTooSoon(folder.path, reason) from None
+    except FolderError:
+        return None
+    if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
+        raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
+    return run_totals(run_summary(folder))
 
 
 class CampaignRunQueue:
@@ -103,8 +130,14 @@ class CampaignRunQueue:
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
         self._runs = runs
-        budgets = {name: spec.evaluations for name, spec in runs.items()}
-        self.extent = JobExtent.of(budgets).with_done(dict(self._done()))
+        finished = {
+            name: found
+            for name, spec in runs.items()
+            if folder and (found := finished_totals(folder.run_path(name), spec)) is not None
+        }
+        self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
+            finished
+        )
         self._left = deque(self.extent.budgets)
         self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
 
@@ -118,7 +151,7 @@ class CampaignRunQueue:
             return None
         name = self._left.popleft()
         try:
-            return self._make(name, self._runs[name])
+            return self._prepare(name, self._runs[name])
         except DiskFull:
             self.put_back(name)
             raise
@@ -129,70 +162,22 @@ class CampaignRunQueue:
         """Have a run made again, before any other."""
         self._left.appendleft(run)
 
-    def _done(self) -> Iterator[tuple[str, RunTotals]]:
-        """The runs that are finished, with what they found."""
-        for name, spec in self._runs.items():
-            found = finished_totals(self._folder.run_path(name), spec) if self._folder else None
-            if found is not None:
-                yield name, found
-
-    def _make(self, name: str, spec: RunSpec) -> RunPlan:
+    def _prepare(self, name: str, spec: RunSpec) -> RunPlan:
         path = self._folder.run_path(name) if self._folder else None
         if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
             folder = RunFolder(path)
             return run_plan.plan_run(spec, folder.scene(), folder.bundle(), name)
-        scene, bundle = self._built(spec)
+        scene, bundle = self._scene_of(spec)
         if self._folder is not None and path is not None and not RunFolder.is_run(path):
             RunFolder.add(self._folder, name, spec, bundle)
         return run_plan.plan_run(spec, scene, bundle, name)
 
-    def _built(self, spec: RunSpec) -> tuple[Scene, Bundle]:
-        """The scene of a spec; neighbours in the order often share theirs."""
-        if self._scene is None or not _share_scene(self._scene[0], spec):
-            self._scene = spec, run_plan.make_bundle(spec)
-        return self._scene[1]
-
-
-def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
-    """Return the totals of the run that `spec` asks for, where its folder holds all of it.
-
-    None: it is not finished, or its journal cannot be read; why not is told when the recorder opens it.
-
-    Raises FolderError or EndsTooSoon: it holds a run of another spec, more evaluations than the budget, or
-    successes alone of fewer.
-    """
-    if not RunFolder.is_run(path):
-        return None
-    folder = RunFolder.open(path)
-    differ = differences(folder.spec, spec)
-    if differ:
-        raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
-    try:
-        with folder.journal() as journal:
-            is_reduced = bool(journal.sources)
-        if not is_reduced:
-            return read_cached_totals(folder, spec) or _count_finished(folder, spec)
-    except FolderError:
-        return None
-    if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
-        raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    return run_totals(run_summary(folder))
-
-
-def _count_finished(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
-    """Count the rows of a run and store their totals; None while it is not finished."""
-    try:
-        found = count_within_budget(folder, spec)
-    except ImpossibleValue as reason:
-        raise EndsTooSoon(folder.path, reason) from None
-    if not found.finished:
-        return None
-    write_cached_totals(folder, spec, run_totals(found))
-    return run_totals(found)
-
-
-def _share_scene(one: RunSpec, other: RunSpec) -> bool:
-    return all(getattr(one, key) == getattr(other, key) for key in SCENE_KEYS)
+    def _scene_of(self, spec: RunSpec) -> tuple[Scene, Bundle]:
+        """Build the scene of a spec, unless it is that of the run before."""
+        known = self._scene
+        if known is None or any(getattr(known[0], key) != getattr(spec, key) for key in SCENE_KEYS):
+            self._scene = known = spec, run_plan.make_bundle(spec)
+        return known[1]
 
 
 def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:
@@ -215,7 +200,9 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
     folder.check_not_in_use()
     _check_kept(folder, asked)
     extent = CampaignRunQueue(folder, asked.runs).extent
-    _write_campaign(folder, asked)
+    file = folder.path / CAMPAIGN
+    if file.read_bytes() != asked.toml.encode():
+        atomic_files.replace(file, asked.toml.encode())
     return extent
 
 
@@ -240,9 +227,3 @@ def _check_kept(folder: JobFolder, asked: Campaign) -> None:
             f"'{lost[0]}'; leave them in the file, or name another folder with --out. "
             f"`qdgrasp campaign {folder.path}` goes on with the campaign as it was."
         )
-
-
-def _write_campaign(folder: JobFolder, asked: Campaign) -> None:
-    file = folder.path / CAMPAIGN
-    if file.read_bytes() != asked.toml.encode():
-        atomic_files.replace(file, asked.toml.encode())

@@ -2,7 +2,7 @@
 
 import sqlite3
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import reduce
@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from qdgrasp_coordinator.campaign.campaign_folder import SCENE_KEYS
 from qdgrasp_coordinator.campaign.ranking import is_reranking
 from qdgrasp_coordinator.campaign.reduced_journal import (
     MergePart,
@@ -31,7 +32,6 @@ from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
 from qdgrasp_coordinator.storage.journal_schema import (
     FILE,
     JournalIdentity,
-    JournalSource,
     explaining_read_errors,
 )
 from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors
@@ -81,16 +81,15 @@ def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
             made / FILE, identity, found, ((part.source, part.rows(shape)) for part in parts)
         ),
     )
-    return MergeResult(found, tuple(one.words for one in repeats))
+    return MergeResult(found, repeats)
 
 
 def _check_same_scene(one: MergePart, other: MergePart) -> None:
     if one.source.scene == other.source.scene:
         return
     specs = one.source.asked, other.source.asked
-    keys = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
-    differ = [f"{key} ({getattr(specs[0], key)} and {getattr(specs[1], key)})" for key in keys
-              if getattr(specs[0], key) != getattr(specs[1], key)]  # fmt: skip
+    values = [(key, *(getattr(spec, key) for spec in specs)) for key in SCENE_KEYS]
+    differ = [f"{key} ({mine} and {its})" for key, mine, its in values if mine != its]
     why = ", ".join(differ) or "the scene's files or the version of qdgrasp that read them"
     raise InputError(
         f"{one.folder.path} and {other.folder.path} are of different scenes, which are not merged: they "
@@ -116,14 +115,16 @@ def _merged_spec(parts: Sequence[MergePart]) -> RunSpec:
 
 def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
     """Return the summary of all runs together."""
-    first, told = parts[0].source, [part.source.summary for part in parts]
-    values: dict[str, Any] = dict(first.summary)
-    values |= {name: sum(one[name] for one in told) for name in SUMMED_FIELDS}
-    values |= {name: _names_in_words(one[name] for one in told) for name in ("method", "overlaps_mode")}
+    summaries = [part.source.summary for part in parts]
+    platforms = [part.source.platform.items() for part in parts]
+    values: dict[str, Any] = dict(summaries[0])
+    values |= {name: sum(one[name] for one in summaries) for name in SUMMED_FIELDS}
+    for name in ("method", "overlaps_mode"):
+        values[name] = ", ".join(sorted({one[name] for one in summaries}))
     values |= {
-        "complete": all(one["complete"] for one in told),
+        "complete": all(one["complete"] for one in summaries),
         "ended": f"merged from {counted(len(parts), 'run')}",
-        "platform": reduce(_common_platform, (part.source.platform for part in parts)),
+        "platform": dict(item for item in platforms[0] if all(item in other for other in platforms)),
         "reduced": "failures: only the successes of the merged runs are kept",
         "sources": [part.source.words for part in parts],
     }
@@ -151,15 +152,6 @@ def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[st
         "nu": msgspec.to_builtins(metrics.nu),
         "eta": msgspec.to_builtins(metrics.eta),
     }
-
-
-def _names_in_words(names: Iterator[str]) -> str:
-    return ", ".join(sorted(set(names)))
-
-
-def _common_platform(one: dict[str, str], other: dict[str, str]) -> dict[str, str]:
-    """Return the entries in which two platforms agree."""
-    return {name: value for name, value in one.items() if other.get(name) == value}
 
 
 PARTIAL_FILE = "run.sqlite.part"
@@ -212,7 +204,10 @@ def _prune_locked(folder: RunFolder) -> int:
         journal.check_whole()
         shape, run = journal.shape, journal.run
     (source,) = journal_sources(folder)
-    _check_prunable(folder, source)
+    if not source.summary["complete"]:
+        raise FolderError(f"{folder.path} is not finished: what is pruned cannot be gone on with.")
+    if is_reranking(folder):
+        raise FolderError(f"{folder.path} ranks poses, for which every row is needed.")
     identity = JournalIdentity(run, source.spec, source.scene, shape)
     found = msgspec.structs.replace(
         msgspec.convert(source.summary, RunSummary), reduced="failures: only successes are kept"
@@ -228,13 +223,6 @@ def _prune_locked(folder: RunFolder) -> int:
     finally:
         part.unlink(missing_ok=True)
     return before - file.stat().st_size
-
-
-def _check_prunable(folder: RunFolder, source: JournalSource) -> None:
-    if not source.summary["complete"]:
-        raise FolderError(f"{folder.path} is not finished: what is pruned cannot be gone on with.")
-    if is_reranking(folder):
-        raise FolderError(f"{folder.path} ranks poses, for which every row is needed.")
 
 
 def _checkpoint_journal(file: Path) -> None:

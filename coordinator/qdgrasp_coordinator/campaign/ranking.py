@@ -115,7 +115,10 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
 
     What is no success any more has eta 0: it has no trials.
     """
-    source = _read_source(folder.path)
+    try:
+        source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)
+    except msgspec.MsgspecError as error:
+        raise atomic_files.damaged_file(folder.path / SOURCE, str(error)) from None
     known = trial_count(folder.spec.protocol)
     with folder.journal() as journal:
         every = journal.rows(0, journal.count)
@@ -133,13 +136,6 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
         )
         for rank, place in enumerate(order.tolist(), start=1)
     ]
-
-
-def _read_source(path: Path) -> RankingSource:
-    try:
-        return msgspec.json.decode(atomic_files.read(path / SOURCE), type=RankingSource)
-    except msgspec.MsgspecError as error:
-        raise atomic_files.damaged_file(path / SOURCE, str(error)) from None
 
 
 def _as_csv(table: list[tuple[float, ...]]) -> bytes:

@@ -35,72 +35,78 @@ class LocalSession:
     bus: Bus
     endpoint: str
     """Address that processes connect to."""
-    proof: Sequence[str]
+    credential_flags: Sequence[str]
     """Credential flags of the processes; empty: links are not encrypted."""
-    crew: ProcessGroup
+    processes: ProcessGroup
     display: ProgressDisplay
-    watch: RestartPolicy
+    restarts: RestartPolicy
 
-    def hire_recorder(self, out: Path) -> None:
+    def start_recorder(self, out: Path) -> None:
         """Start a recorder that writes to the folder of a job."""
-        self.crew.hire(
-            "recorder", "qdgrasp_coordinator.cli.recorder_process", [*self._meeting, "--out", str(out)]
-        )
+        flags = [*self._connection_flags, "--out", str(out)]
+        self.processes.hire("recorder", "qdgrasp_coordinator.cli.recorder_process", flags)
 
-    def hire_workers(self, count: int) -> None:
+    def start_workers(self, count: int) -> None:
         """Start workers."""
         for number in range(count):
-            start_worker(self.crew, number, self._meeting)
+            start_worker(self.processes, number, self._connection_flags)
 
     def coordinate(
         self,
-        programme: RunQueue,
+        queue: RunQueue,
         make_record: Callable[[RunPlan], RowSink],
         stop: Stop,
         batch_size: int | None = None,
-        look: Callable[[], None] = lambda: None,
+        on_step: Callable[[], None] = lambda: None,
     ) -> None:
         """Carry out a programme in this thread, until it is done or the job is ended.
 
         `make_record`: makes the record that takes a run's rows. `batch_size`: rows in a batch; None:
-        measured. `look`: called at every step. Raises EndedEarly: the job was cancelled, or processes die
+        measured. `on_step`: called at every step. Raises EndedEarly: the job was cancelled, or processes die
         again and again. RunsFailed: runs could not be carried out.
         """
         service = CoordinatorService(
-            self.bus, stop, job=self.job, programme=programme, make_record=make_record, batch_size=batch_size
+            self.bus, stop, job=self.job, programme=queue, make_record=make_record, batch_size=batch_size
         )
 
         def step(now: float) -> None:
             figures = service.figures(now)
-            self.watch.progressed(figures)
-            self.watch.look(now)
+            self.restarts.note_progress(figures)
+            self.restarts.check(now)
             self.display.show(figures)
-            look()
+            on_step()
 
         service.run(step)
 
     @property
-    def _meeting(self) -> list[str]:
-        return ["--connect", self.endpoint, "--job", self.job, *self.proof]
+    def _connection_flags(self) -> list[str]:
+        return ["--connect", self.endpoint, "--job", self.job, *self.credential_flags]
 
 
 @contextmanager
 def open_session(
-    job: str, logs: Path, display: ProgressDisplay, bus: ZenohBus, endpoint: str, proof: Sequence[str] = ()
+    job: str,
+    logs: Path,
+    display: ProgressDisplay,
+    bus: ZenohBus,
+    endpoint: str,
+    credential_flags: Sequence[str] = (),
 ) -> Iterator[LocalSession]:
     """Open a job's session; leaving it ends the started processes and the bus session.
 
     `logs`: the folder in which each process has a log. `bus`: a session, opened here.
     """
-    with bus, ProcessGroup(logs, GRACE) as crew:
-        yield LocalSession(job, bus, endpoint, proof, crew, display, RestartPolicy(crew, display))
+    with bus, ProcessGroup(logs, GRACE) as processes:
+        yield LocalSession(
+            job, bus, endpoint, credential_flags, processes, display, RestartPolicy(processes, display)
+        )
 
 
 def run_temporary_job(
     job: str,
-    programme: RunQueue,
+    queue: RunQueue,
     make_record: Callable[[RunPlan], RowSink],
-    team: LocalJobConfig,
+    config: LocalJobConfig,
     display: ProgressDisplay,
     stop: Stop,
 ) -> None:
@@ -113,8 +119,8 @@ def run_temporary_job(
         tempfile.TemporaryDirectory(prefix="qdgrasp-") as logs,
         open_session(job, Path(logs), display, *ZenohBus.embedded(None)) as here,
     ):
-        here.hire_workers(max(1, team.workers))
-        here.coordinate(programme, make_record, stop, team.batch_size)
+        here.start_workers(max(1, config.workers))
+        here.coordinate(queue, make_record, stop, config.batch_size)
 
 
 SCORING_JOB = "evaluate"
@@ -126,7 +132,7 @@ def score_poses(
     scene: Scene,
     bundle: Bundle,
     poses: HandPoses,
-    team: LocalJobConfig,
+    config: LocalJobConfig,
     display: ProgressDisplay,
     stop: Stop,
 ) -> Rows:
@@ -136,9 +142,9 @@ def score_poses(
     pipeline = Pipeline(
         search, shape, evaluations=len(poses), overlaps="count", trials=trial_count(spec.protocol)
     )
-    assignment = RunPlan(RUN, to_toml(spec).encode(), bundle, GIVEN, shape, pipeline, len(poses))
+    plan = RunPlan(RUN, to_toml(spec).encode(), bundle, GIVEN, shape, pipeline, len(poses))
     memory = MemorySink(shape)
     run_temporary_job(
-        SCORING_JOB, SingleRunQueue(lambda: assignment, len(poses)), lambda _: memory, team, display, stop
+        SCORING_JOB, SingleRunQueue(lambda: plan, len(poses)), lambda _: memory, config, display, stop
     )
     return memory.rows

@@ -34,12 +34,12 @@ class Staff:
     def dies(self, name: str, code: int, words: str = "") -> None:
         """A member dies, and whoever is due is started again."""
         self.dead, self.words[name] = [ProcessExit(name, code)], words
-        self.watch.look(self.now)
+        self.watch.check(self.now)
         self.dead = []
 
     def waits(self, seconds: float) -> None:
         self.now += seconds
-        self.watch.look(self.now)
+        self.watch.check(self.now)
 
     def deaths(self) -> list[ProcessExit]:
         return self.dead
@@ -108,7 +108,7 @@ def test_who_is_killed_from_outside_is_started_again_more_often() -> None:
 def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
     staff = Staff()
     for n in range(10 * MOST_TRIES):
-        staff.watch.progressed(figures(evaluations=n, rate=1.0))
+        staff.watch.note_progress(figures(evaluations=n, rate=1.0))
         staff.dies("coordinator", -9)
         staff.waits(20)
     assert len(staff.hired) == 10 * MOST_TRIES
@@ -116,9 +116,9 @@ def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
 
 def test_replaying_what_was_found_before_is_no_progress() -> None:
     staff = Staff()
-    staff.watch.progressed(figures(evaluations=100))
+    staff.watch.note_progress(figures(evaluations=100))
     for n in range(MOST_TRIES):
-        staff.watch.progressed(figures(evaluations=n))
+        staff.watch.note_progress(figures(evaluations=n))
         staff.dies("coordinator", -11)
         staff.waits(20)
     with pytest.raises(EndedEarly):
@@ -157,4 +157,4 @@ def test_a_worker_is_told_to_leave_before_its_crew_ends_it(tmp_path: Path, grace
 def test_workers_are_started_in_one_place() -> None:
     room = Path(qdgrasp_coordinator.__file__).parent
     starters = [file.relative_to(room) for file in room.rglob("*.py") if '.hire(f"worker' in file.read_text()]
-    assert starters == [Path("watching/workers.py")]
+    assert starters == [Path("local/restart_policy.py")]
