@@ -49,8 +49,8 @@ NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's nam
 CAMPAIGN_DEFAULTS = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 """Defaults of a campaign's runs.
 
-A second generation in flight keeps the workers of a single run busy; here other runs do, and the search
-is told all that it asked.
+A second generation in flight keeps the workers of a single run busy; here other runs do, and the search is
+told all that it asked.
 """
 LONGEST_NAME = 64
 CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
@@ -67,7 +67,7 @@ class Campaign:
 
     runs: Mapping[str, RunSpec]
     source: Mapping[str, Any]
-    """The file's content, with objects as they were taken."""
+    """The file's content, with objects as they were resolved."""
     scans: tuple[str, ...] = ()
     """Objects that were taken as their scans."""
     stand_ins: tuple[str, ...] = ()
@@ -97,11 +97,11 @@ class Campaign:
 def read_campaign(
     path: Path, *, here: bool = True, goals: Mapping[str, int | None] = MappingProxyType({})
 ) -> Campaign:
-    """The campaign in a TOML file.
+    """Read the campaign in a TOML file.
 
-    `here`: whether its grippers and objects must be on this machine. `goals`: what ends runs, by keys of a
-    spec, in place of what the file's defaults say; None: what they say. Raises InputError: there is no such
-    file, it is not TOML, or it asks for a run that cannot be; the run is named.
+    `here` checks that its grippers and objects are on this machine; `goals` are values of a spec's keys that
+    end runs, in place of the file's defaults. Raises InputError if the file is missing, is not TOML, or asks
+    for a run that is not possible; the run is named.
     """
     source, asked = read_run_spec(path), {key: value for key, value in goals.items() if value is not None}
     if asked and isinstance(source.get("defaults", {}), dict):
@@ -115,7 +115,7 @@ def is_campaign(path: Path) -> bool:
 
 
 def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> Campaign:
-    """Return the campaign of a file's content; parameters and errors as of `read_campaign`."""
+    """Make the campaign of a file's content; parameters and errors as of `read_campaign`."""
     _check_tables(source, where)
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
     defaults = assets.resolve(CAMPAIGN_DEFAULTS | source.get("defaults", {}))
@@ -132,9 +132,9 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
 
 
 def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
-    """Return the name of a run: gripper, object, method, seed, and whatever is not as usual.
+    """Name a run by gripper, object, method, seed, and whatever is not as usual.
 
-    `values`: the values that the campaign gave for it; when it ends is no part of its name.
+    `values` are those that the campaign gave for it; when it ends is no part of its name.
     """
     parts = [Path(spec.gripper).stem, Path(spec.object).stem, spec.method, f"s{spec.seed}"]
     usual = full_spec(
@@ -153,7 +153,7 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
 class AssetNames:
     """Resolves grippers and objects of a campaign, and notes scans and stand-ins.
 
-    `prefer_scans`: whether an object is taken as its scan where that is found.
+    With `prefer_scans` an object is taken as its scan if that is found.
     """
 
     def __init__(self, *, prefer_scans: bool) -> None:
@@ -162,7 +162,7 @@ class AssetNames:
         self.stand_ins: dict[str, None] = {}
 
     def resolve(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Values of a crossing with its files as absolute paths and its objects as they are taken."""
+        """Return values of a crossing with absolute paths, and objects as they are taken."""
         resolved = dict(values)
         for key, act in (("gripper", absolute_asset), ("object", self._object)):
             if key in values:
@@ -226,7 +226,7 @@ def _check_tables(source: dict[str, Any], where: str) -> None:
 def _cross_lists(
     defaults: dict[str, Any], crosses: list[dict[str, Any]], objects: ObjectValues, where: str
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Yield each run's values and those known of its object; first in `NAMED` change last."""
+    """Yield each run's values and those known of its object; `NAME_KEYS` change last first."""
     for cross in crosses:
         whole = defaults | cross
         if empty := [key for key, value in whole.items() if value == []]:
@@ -259,7 +259,7 @@ NO_MASS = "it has no mass: say what it weighs with --mass or --density, or in " 
 
 @dataclass(frozen=True)
 class MassRule:
-    """Mass or density of objects that the table of masses does not name; one of them, or none."""
+    """Mass or density of objects that the table of masses does not name; one of them at most."""
 
     mass: float | None = None
     """Mass of each [kg]."""
@@ -267,7 +267,7 @@ class MassRule:
     """Density of each [kg/m3]."""
 
     def mass_of(self, draft: ObjectDraft) -> float | None:
-        """The mass of a mesh [kg]; None: it is not said."""
+        """Return the mass of a mesh [kg]; None: it is not given."""
         if self.density is None:
             return self.mass
         return float(f"{self.density * draft.mesh.volume:.{MASS_DIGITS}g}")
@@ -276,11 +276,10 @@ class MassRule:
 def campaign_of_meshes(
     folder: Path, mass_rule: MassRule, scale: float | None, values: Mapping[str, Any]
 ) -> Campaign:
-    """The campaign of all meshes in a folder.
+    """Make the campaign of all meshes in a folder, at `scale` metres to a unit (None: 1).
 
-    `scale`: metres to a unit of each file; None: 1. `values`: values or lists of keys of a spec, crossed as
-    in a campaign's file; None: not said. Raises InputError: as in `mesh_values`, or a run is asked for that
-    cannot be.
+    `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. Raises
+    InputError as `mesh_values`, or for a run that is not possible.
     """
     known = mesh_values(folder, mass_rule, scale)
     cross = {key: value for key, value in values.items() if value is not None} | {"object": list(known)}
@@ -290,8 +289,8 @@ def campaign_of_meshes(
 def mesh_values(folder: Path, mass_rule: MassRule, scale: float | None) -> dict[str, dict[str, float]]:
     """Return the keys `mass` and `scale` of a spec for every mesh in a folder, by its path.
 
-    Raises InputError: there is no such folder, no mesh in it, or its table of masses cannot be read.
-    UnusableMeshes: of some of them no object can be made, or what they weigh is not known.
+    Raises InputError if there is no such folder, no mesh in it, or its table of masses cannot be read, and
+    UnusableMeshes for meshes that no object can be made of, or whose mass is not known.
     """
     files, masses = _mesh_files(folder), _read_masses(folder / MASS_TABLE)
     faults = _name_clashes(files.values())
@@ -311,10 +310,7 @@ def mesh_values(folder: Path, mass_rule: MassRule, scale: float | None) -> dict[
 
 
 def check_meshes(specs: Iterable[RunSpec]) -> None:
-    """Check that an object can be made of every mesh file that runs grasp.
-
-    Raises UnusableMeshes: of some of them it cannot.
-    """
+    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes."""
     named = STAND_INS.keys() | SCANS.keys()
     wanted = {(spec.object, spec.scale): spec.mass for spec in specs if spec.object not in named}
     faults = {
@@ -338,7 +334,7 @@ def _mesh_fault(draft: ObjectDraft, mass: float | None) -> str:
 
 
 def _mesh_files(folder: Path) -> dict[str, Path]:
-    """The meshes in a folder by their names."""
+    """List the meshes in a folder by their names."""
     if not folder.is_dir():
         raise InputError(f"There is no folder of meshes at '{folder}'.")
     kinds = {*READABLE_FORMATS, *FORMAT_PACKAGES}
@@ -351,7 +347,7 @@ def _mesh_files(folder: Path) -> dict[str, Path]:
 
 
 def _read_masses(table: Path) -> dict[str, float]:
-    """The masses [kg] that a table names, by file; none where there is no table."""
+    """Read the masses [kg] in a table by file; empty if there is no table."""
     if not table.is_file():
         return {}
     try:
@@ -372,7 +368,7 @@ def _refuse_table(table: Path, why: str = "") -> dict[str, float]:
 
 
 def _name_clashes(files: Iterable[Path]) -> dict[str, str]:
-    """Meshes whose runs would be called as those of another one."""
+    """Find meshes whose runs would have the names of those of another one."""
     first, faults = dict[str, str](), dict[str, str]()
     for file in files:
         other = first.setdefault(job_name(f"a-{file.stem}"), file.name)
@@ -382,7 +378,7 @@ def _name_clashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def _read_mesh(file: Path, scale: float | None) -> ObjectDraft:
-    """A mesh file as an object would be made of it; what cannot be read at all is a fault too."""
+    """Read a mesh file for an object; a file that cannot be read is a fault too."""
     try:
         return read_draft(file, scale)
     except AssetError as error:

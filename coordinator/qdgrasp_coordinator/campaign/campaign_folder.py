@@ -1,7 +1,7 @@
 """The folder of a campaign: begun, or gone on with, and a queue of its unfinished runs.
 
-The end of a run that has begun may be put off, not taken back below what is recorded. What a finished run
-has found is cached beside its journal (`found.json`), so that a large campaign need not read it again.
+The end of a run that has begun may be put off, not taken back below what is recorded. The totals of a
+finished run are cached beside its journal (`found.json`), so that a large campaign need not read it again.
 """
 
 from collections import deque
@@ -32,7 +32,7 @@ from qdgrasp_protocol.text import counted
 def extend_run(folder: RunFolder, **goals: int) -> None:
     """Give a run a new budget, or other goals: any of the keys `spec.GOALS`.
 
-    Raises ImpossibleValue: a value is not allowed, or the journal goes on behind it.
+    Raises ImpossibleValue if one is not allowed, or the journal goes on behind it.
     """
     spec = run_spec(to_values(folder.spec) | goals, "resume")
     count_within_budget(folder, spec, "--evaluations")
@@ -40,10 +40,7 @@ def extend_run(folder: RunFolder, **goals: int) -> None:
 
 
 def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluations") -> RunCounter:
-    """Return the tally of a run's journal, which must begin a journal of `spec`.
-
-    Raises ImpossibleValue: it does not.
-    """
+    """Count a run's journal; raises ImpossibleValue unless it begins a journal of `spec`."""
     check_spec(spec)
     with folder.journal() as journal:
         found = count_rows(spec, journal.blocks())
@@ -120,11 +117,11 @@ def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
 
 
 class CampaignRunQueue:
-    """The programme of a campaign: its unfinished runs, each made when its turn comes.
+    """The unfinished runs of a campaign, each made when it is next.
 
-    `folder`: the campaign's; None: nothing is known of what was recorded, and no folders are made. `runs`:
-    the specs by name. Raises FolderError or EndsTooSoon: a run's folder holds another run, or more
-    evaluations than its budget.
+    Without a `folder` nothing is known of recorded runs, and no folders are made; `runs` are specs by name.
+    Raises FolderError or EndsTooSoon if a run's folder holds another run, or more evaluations than its
+    budget.
     """
 
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
@@ -142,10 +139,10 @@ class CampaignRunQueue:
         self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
 
     def next(self) -> RunPlan | None:
-        """The next unfinished run, with a folder of its own.
+        """Return the next unfinished run, with a folder of its own.
 
-        Raises RunFailed: its scene cannot be built, or its folder not be written. DiskFull: there is no room
-        for its folder; it stays the next.
+        Raises RunFailed if its scene cannot be built or its folder not be written, and DiskFull if there is
+        no room for the folder; it then stays the next.
         """
         if not self._left:
             return None
@@ -183,10 +180,10 @@ class CampaignRunQueue:
 def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:
     """Begin the campaign that is asked for at `path`, or check that it can go on there.
 
-    `job`: the job's name for a new folder; None: the folder's name, reduced to the allowed characters.
-    Returns how much there is to do, and what of it is done. Raises FolderError or EndsTooSoon: the folder
-    holds a single run, another job, other files, runs that are not asked for any more, or one that is asked
-    for with another spec or with less than it has; or it is in use. It is left as it was.
+    `job` is the job's name for a new folder; None: the folder's name, reduced to the allowed characters.
+    Raises FolderError or EndsTooSoon, and leaves the folder as it was, if it holds a single run, another job,
+    other files, runs that are not asked for any more, or one that is asked for with another spec or with less
+    than it has; or if it is in use.
     """
     if not JobFolder.is_job(path):
         OutFolder(path).check()
@@ -207,10 +204,7 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
 
 
 def open_campaign(path: Path) -> JobFolder:
-    """The folder of a campaign that was begun.
-
-    Raises FolderError: there is none at `path`.
-    """
+    """Open the folder of a campaign that was begun; raises FolderError if it holds none."""
     folder = JobFolder.open(path)
     if not folder.is_campaign:
         raise FolderError(f"{path} holds a single run, no campaign; name the folder of a campaign.")

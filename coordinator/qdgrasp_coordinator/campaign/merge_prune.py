@@ -63,8 +63,8 @@ class MergeResult:
 def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
     """Join the successes of runs of one scene in a new folder, that appears whole or not at all.
 
-    Raises FolderError or DiskFull: a folder cannot be read, or `out` holds something or cannot be written.
-    InputError: the runs are of different scenes, or one under a protocol with trials is not finished.
+    Raises FolderError or DiskFull if a folder cannot be read, or `out` holds something or cannot be written,
+    and InputError if the runs are of different scenes, or one under a protocol with trials is not finished.
     """
     RunFolder.check_free(out)
     parts, repeats = merge_parts(folders)
@@ -132,7 +132,7 @@ def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
 
 
 def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[str, Any]:
-    """The figures that depend on which cells and niches several runs share."""
+    """Count the figures that depend on the cells and niches that several runs share."""
     scene = parts[0].folder.scene()
     metrics, reached = SuccessMetrics(trial_count(parts[0].source.asked.protocol)), set[int]()
     archives = []
@@ -161,13 +161,11 @@ PRIMARY_CODE = 0xFF  # The bits of SQLite's error codes that say what went wrong
 
 
 def prune_run(folder: RunFolder) -> int:
-    """Drop the failures of a finished run; gives the bytes that this freed.
+    """Drop the failures of a finished run; returns the bytes that this freed.
 
-    The journal is replaced as a whole, or left as it was; one that is being read is waited for a little, and
-    whoever begins to read it after that reads the old one.
-
-    Raises FolderError or DiskFull: the run is not finished, was pruned before, is in use or being read, ranks
-    poses by all of their trials, or its folder cannot be written.
+    The journal is replaced as a whole, or left as it was; readers are waited for a little, and those that
+    begin after that read the old one. Raises FolderError or DiskFull if the run is not finished, was pruned
+    before, is in use or being read, ranks poses by all of their trials, or its folder cannot be written.
     """
     with folder.job.supervise(), folder.job.lock():
         return _prune_locked(folder)
@@ -185,7 +183,7 @@ class PruneResult:
 
 
 def prune_campaign(job: JobFolder) -> PruneResult:
-    """Drop the failures of a campaign's finished runs; others stay; raises as `prune` does."""
+    """Drop the failures of a campaign's finished runs; raises as `prune_run`."""
     freed, pruned = 0, 0
     with job.supervise(), job.lock():
         folders = [RunFolder(path) for path in job.run_paths if RunFolder.is_run(path)]
@@ -199,7 +197,7 @@ def prune_campaign(job: JobFolder) -> PruneResult:
 
 
 def _prune_locked(folder: RunFolder) -> int:
-    """Prune a run whose job's locks are held, as `prune` does."""
+    """Prune a run whose job's locks are held, as `prune_run` does."""
     with folder.journal() as journal:
         journal.check_whole()
         shape, run = journal.shape, journal.run
@@ -228,7 +226,7 @@ def _prune_locked(folder: RunFolder) -> int:
 def _checkpoint_journal(file: Path) -> None:
     """Move all of a journal into its one file, so that another may take its place.
 
-    Raises FolderError: it is being read, and that does not end soon.
+    Raises FolderError if it is being read, and that does not end soon.
     """
     deadline = time.monotonic() + SETTLE_TIMEOUT
     while not _is_checkpointed(file):
@@ -240,7 +238,7 @@ def _checkpoint_journal(file: Path) -> None:
 
 
 def _is_checkpointed(file: Path) -> bool:
-    """Settle the file; return False where another process has it open."""
+    """Checkpoint the file; return False where another process has it open."""
     with (
         explaining_read_errors(file),
         explaining_write_errors(file.parent),

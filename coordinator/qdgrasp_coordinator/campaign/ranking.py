@@ -33,7 +33,7 @@ class SourceRow(Struct, frozen=True):
     generation: int
     index: int
     fitness: float
-    """Fitness that the search was told of it there."""
+    """Fitness that the search got there."""
 
 
 class RankingSource(Struct, frozen=True):
@@ -46,7 +46,7 @@ class RankingSource(Struct, frozen=True):
 
 
 def read_run_grasps(folder: RunFolder) -> Rows:
-    """The grasps of a run (n,) in journal order, with the fitness that its search heard of them.
+    """Read the grasps of a run (n,) in journal order, with the fitness that its search got.
 
     A grasp survived a nominal shake; under a protocol with trials all of its own are recorded.
     """
@@ -68,10 +68,9 @@ def _check_one_prior(sources: tuple[JournalSource, ...], where: Path) -> None:
 
 
 def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
-    """The best row of each kind, and of these the `most` best, best first.
+    """Return the best row of each kind, and of these the `most` best, best first.
 
-    `rows`: in any order; which is better is said in `order.best_first`. `kinds`: (n,): a number for each row,
-    equal for those of a kind; None: their 1 cm cells.
+    `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `scores.best_first` orders rows.
     """
     kinds = cell_keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
     order = best_first(rows)
@@ -80,10 +79,7 @@ def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None)
 
 
 def write_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:
-    """Write down from which rows of a run the poses of another were taken.
-
-    Raises FolderError: it cannot be written.
-    """
+    """Note the rows of a run that the poses of another were taken from."""
     places = tuple(SourceRow(*values) for values in rows[["generation", "index", "fitness"]].tolist())
     noted = RankingSource(str(source.path.absolute()), places)
     atomic_files.replace(folder.path / SOURCE, msgspec.json.encode(noted))
@@ -97,7 +93,7 @@ def is_reranking(folder: RunFolder) -> bool:
 def write_ranking(folder: RunFolder) -> str:
     """Rank the poses of a complete run that scores grasps again, and write `ranking.csv`.
 
-    Returns the best of them as a table. Raises FolderError: a file cannot be read or written.
+    Returns the best of them as a table. Raises FolderError if a file cannot be read or written.
     """
     table = rank_poses(folder)
     atomic_files.replace(folder.path / RANKING, _as_csv(table))
@@ -111,9 +107,9 @@ def write_ranking(folder: RunFolder) -> str:
 
 
 def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
-    """Return a run's poses by eta, best first, ties in their order; each as in `COLUMNS`.
+    """Rank a run's poses by eta, best first, ties in their order; each as in `RANKING_COLUMNS`.
 
-    What is no success any more has eta 0: it has no trials.
+    A pose that is no success any more has eta 0: it has no trials.
     """
     try:
         source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)

@@ -30,9 +30,9 @@ def kept_rows(rows: Rows) -> Rows:
 
 
 def journal_sources(folder: RunFolder) -> tuple[JournalSource, ...]:
-    """The runs that a folder holds rows of: those it was reduced from, or itself.
+    """Return the runs that a folder holds rows of: those it was reduced from, or itself.
 
-    Raises FolderError: its journal cannot be read, or grows meanwhile.
+    Raises FolderError if its journal cannot be read, or grows meanwhile.
     """
     with folder.journal() as journal:
         if journal.sources:
@@ -75,7 +75,7 @@ def pad_rows(rows: Rows, shape: RowShape) -> Rows:
 
 
 def trim_rows(rows: Rows, shape: RowShape) -> Rows:
-    """Return `padded` rows in their own shape again."""
+    """Return rows of `pad_rows` in their own shape again."""
     if rows.dtype == shape.dtype:
         return rows
     narrower = shape.empty(len(rows))
@@ -91,11 +91,10 @@ def write_reduced_journal(
     found: RunSummary,
     parts: Iterable[tuple[JournalSource, Iterable[Rows]]],
 ) -> None:
-    """Write a reduced journal into a new file.
+    """Write a reduced journal, with its summary `found`, into a new file.
 
-    `found`: what is told of it. `parts`: the sources in their order, each with its kept rows, of the
-    identity's shape. Raises DiskFull or FolderError: it cannot be written, or a source has other rows by now
-    than it says.
+    `parts` are the sources in their order, each with its kept rows, of the identity's shape. Raises DiskFull
+    or FolderError if it cannot be written, or a source has other rows by now than it says.
     """
     file.unlink(missing_ok=True)
     with (
@@ -121,13 +120,13 @@ def write_reduced_journal(
 
 
 def _check_same(run: str, expected: int, rows: int) -> None:
-    """Check that a run has as many rows as it had when it was looked at first."""
+    """Check that a run has as many rows as it had at first."""
     if rows != expected:
         raise FolderError(f"'{run}' grew while it was read; wait until it is done, or stop it.")
 
 
 def _insert_blocks(database: sqlite3.Connection, first: int, rows: Rows) -> int:
-    """Add rows as blocks; gives the number of the next row."""
+    """Add rows as blocks; returns the number of the next row."""
     for start in range(0, len(rows), BLOCK_ROWS):
         part = JournalSlice(first, rows[start : start + BLOCK_ROWS])
         insert_rows(database, part, epoch=0)
@@ -147,7 +146,7 @@ def common_shape(folders: Iterable[RunFolder]) -> RowShape:
 
 @dataclass(frozen=True)
 class MergePart:
-    """A run that is merged: where its rows are, and which of the sources there it is."""
+    """A run that is merged: the folder of its rows, and its number among the sources there."""
 
     folder: RunFolder
     number: int
@@ -177,16 +176,16 @@ class MergePart:
         return str(path) if self.source.run == path.absolute().name else f"'{self.source.run}' in {path}"
 
     def rows(self, shape: RowShape) -> Iterator[Rows]:
-        """Its kept rows, in a shape that is as wide or wider."""
+        """Return its kept rows, in a shape that is as wide or wider."""
         return (pad_rows(rows, shape) for rows in source_rows(self.folder, self.number))
 
     def row_bytes(self) -> set[bytes]:
-        """Its kept rows, each as bytes; no two have the same key."""
+        """Return its kept rows, each as bytes; no two have the same key."""
         return {row.tobytes() for rows in source_rows(self.folder, self.number) for row in rows}
 
 
 def merge_parts(folders: Sequence[RunFolder]) -> tuple[list[MergePart], tuple[str, ...]]:
-    """Return the runs that folders hold rows of, each search once, and a sentence for each left out; sorted.
+    """Return the runs in folders, each search once, and a sentence for each left out; sorted.
 
     A run that is named twice, or is in two merged folders, is one run.
     """

@@ -41,7 +41,7 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     diversity: Diversity
     """Niches of position, orientation and synergy with a success."""
     qd_score: float
-    """Best fitness in each of these cells, summed; fitness as the search gets it: see `SuccessMetrics`."""
+    """Best fitness in each of these cells, summed; fitness as the search gets it."""
     success_share: float | None
     """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
     mean_fitness: float | None

@@ -1,8 +1,8 @@
 """MoveIt: messages `moveit_msgs/msg/Grasp` (ROS 2) as YAML, in the list `grasps`.
 
-`grasp_pose` is that of the hand's root link, the parent link of the end effector, in the object's frame.
-What was simulated is the hand at that pose, closing; approach and retreat, along the hand's own approach
-axis, are suggestions.
+`grasp_pose` is that of the hand's root link, the parent link of the end effector, in the object's frame. The
+hand closes at that pose, as it was simulated; approach and retreat, along the hand's own approach axis, are
+suggestions.
 """
 
 import json
@@ -13,32 +13,25 @@ import numpy as np
 
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.export.metadata import GraspMetadata
-from qdgrasp_coordinator.export.text_format import table_decimals, yaml_block
+from qdgrasp_coordinator.export.text_format import grasp_decimals, table_decimals, yaml_block
 
 HEADER = "{{stamp: {{sec: 0, nanosec: 0}}, frame_id: {}}}"
 
 
-def write(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
+def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     """Write grasps as a YAML list of messages."""
     with path.open("w", encoding="utf-8") as file:
-        file.write(yaml_block({"qdgrasp": about.values}))
+        file.write(yaml_block({"qdgrasp": metadata.values}))
         file.write("grasps:\n")
-        file.writelines(_messages(grasps, about))
+        file.writelines(_messages(grasps, metadata))
 
 
-def _messages(grasps: Grasps, about: GraspMetadata) -> Iterator[str]:
-    """The lines of each message."""
+def _messages(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
+    """Yield the lines of each message."""
     names = ", ".join(map(_quoted, grasps.joint_names))
     moves = _moves(grasps)
-    object_frame, touched = HEADER.format(_quoted(about.object)), _quoted(about.object)
-    confidences = table_decimals(grasps.confidence[:, None])
-    tables = (
-        confidences,
-        table_decimals(grasps.poses(about.frame)),
-        table_decimals(grasps.joints),
-        table_decimals(grasps.pregrasp),
-    )
-    for number, (quality,), pose, closed, start in zip(grasps.numbers.tolist(), *tables, strict=True):
+    object_frame, touched = HEADER.format(_quoted(metadata.object)), _quoted(metadata.object)
+    for number, quality, pose, closed, start in grasp_decimals(grasps, metadata.frame):
         x, y, z, qx, qy, qz, qw = pose
         yield (
             f"- id: grasp_{number}\n"
@@ -56,7 +49,7 @@ def _messages(grasps: Grasps, about: GraspMetadata) -> Iterator[str]:
 
 
 def _posture(names: str, positions: list[str]) -> str:
-    """A trajectory_msgs/msg/JointTrajectory of one point."""
+    """Write a trajectory_msgs/msg/JointTrajectory of one point."""
     point = (
         f"{{positions: [{', '.join(positions)}], velocities: [], accelerations: [], effort: [], "
         "time_from_start: {sec: 0, nanosec: 0}}"
@@ -65,7 +58,7 @@ def _posture(names: str, positions: list[str]) -> str:
 
 
 def _moves(grasps: Grasps) -> str:
-    """How to come and go: by the hand's reach, at least by the range of its stand-off."""
+    """Write approach and retreats: the hand's reach, at least the range of its stand-off."""
     hand = grasps.scene.gripper
     header = HEADER.format(_quoted(hand.base_link))
     lines = ""

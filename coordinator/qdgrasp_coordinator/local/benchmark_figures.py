@@ -1,7 +1,7 @@
-"""Figures of `qdgrasp bench`: what workers of this machine do in a second, by regime.
+"""Figures of `qdgrasp bench`: evaluations per second of this machine's workers, by regime.
 
-Anywhere, most poses overlap or miss, and are rejected soon; near grasps, most are shaken to the end. A run
-is a mixture of both, so that these two regimes say what any run takes.
+Anywhere, most poses overlap or miss, and are rejected soon; near grasps, most are shaken to the end. A run is
+a mixture of both, so that these two regimes say what any run takes.
 """
 
 import importlib.metadata
@@ -77,7 +77,7 @@ class RegimeSearch:
         return np.concatenate([none, *self._parents])[:PARENTS]
 
     def ask(self, generation: int) -> Genomes:
-        """The next generation: (population, d)."""
+        """Return the next generation: (population, d)."""
         self._asked = generation + 1
         random = keyed_generator(0, self.regime.value, generation)
         if self.regime is PoseRegime.NEAR:
@@ -125,7 +125,7 @@ class Throughput:
 
 
 class ThroughputMeter:
-    """Notes every result; called in threads of the bus."""
+    """Collects the results that come back; called in threads of the bus."""
 
     def __init__(self) -> None:
         self._batches: list[ReturnedBatch] = []
@@ -218,7 +218,7 @@ class NodeInfo(Struct, frozen=True, kw_only=True):
 
 
 def node_info() -> NodeInfo:
-    """The node that this process is on."""
+    """Describe the node that this process is on."""
     return NodeInfo(
         processor=_processor_name(),
         cores=len(os.sched_getaffinity(0)),
@@ -335,7 +335,7 @@ class NodeFigures(Struct, frozen=True, kw_only=True):
 
 
 def regime_rate(regime: PoseRegime, workers: int, work: Throughput) -> RegimeRate:
-    """The pace of so many workers in one regime."""
+    """Return the speed of so many workers in one regime."""
     return RegimeRate(
         regime=regime.value,
         workers=workers,
@@ -361,7 +361,7 @@ def run_seconds(paces: Sequence[RegimeRate]) -> dict[str, float]:
 
 
 def duration(seconds: float) -> str:
-    """A time in words, to two figures or so."""
+    """Write a time in words, to two figures or so."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

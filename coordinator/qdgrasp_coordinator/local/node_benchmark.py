@@ -55,11 +55,7 @@ class SceneMeasurement:
 
 
 class SceneBenchmark:
-    """A measurement of one scene.
-
-    `workers`: how many processes there are in the end, 1 or more. `seconds`: how long each regime is
-    measured.
-    """
+    """A measurement of one scene with 1 to `workers` processes, `seconds` for each regime."""
 
     def __init__(
         self,
@@ -89,7 +85,7 @@ class SceneBenchmark:
     def run(self, bus: Bus, endpoint: str, processes: ProcessGroup, stop: Stop) -> SceneMeasurement | None:
         """Measure on a bus whose router listens on `endpoint`; None where it was asked to stop.
 
-        Raises InputError: a worker cannot work here; the reason is its own.
+        Raises InputError if a worker cannot work here; the reason is its own.
         """
         over = Stop()  # of this job alone
         stop.tell(lambda: over.set(0))

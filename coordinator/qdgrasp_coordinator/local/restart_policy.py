@@ -1,4 +1,4 @@
-"""Restarts of a job's processes: what a death means, and which are started again."""
+"""Restarts of a job's processes: the meaning of a death, and which are started again."""
 
 import signal
 from collections import Counter
@@ -33,9 +33,8 @@ class RestartPolicy:
     """Decides whether a process that died is started again.
 
     A process that was killed, or that ended without a sentence, is started again after a while. A coordinator
-    that ended with a sentence has decided to; the job then ends with that sentence.
-
-    `start_coordinator`: starts the coordinator again; None: there is no such process.
+    that ended with a sentence has decided to; the job then ends with that sentence. `start_coordinator`
+    starts it again; None: there is no such process.
     """
 
     def __init__(
@@ -62,8 +61,8 @@ class RestartPolicy:
     def check(self, now: float) -> None:
         """Count deaths, and restart the processes that may be.
 
-        Raises InputError: a process ended with a sentence that names bad input or environment. EndedEarly:
-        the coordinator decided to end, or was told to, or a process dies again and again.
+        Raises InputError if a process ended with a sentence that names bad input or environment, and
+        EndedEarly if the coordinator decided to end, or was told to, or a process dies again and again.
         """
         for death in self._processes.deaths():
             if death.name == COORDINATOR:
@@ -90,7 +89,7 @@ class RestartPolicy:
         self._say(death, pause)
 
     def _other_died(self, death: ProcessExit, now: float) -> None:
-        """A worker or the recorder died; a worker that ended well was asked to leave."""
+        """Restart a worker or the recorder; a worker that ended well was asked to leave."""
         if death.exit_code == 0:
             self._display.say(f"{death.name} has left")
             return

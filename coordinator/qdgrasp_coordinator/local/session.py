@@ -28,7 +28,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 @dataclass(frozen=True)
 class LocalSession:
-    """A bus session and the processes started for a job; made by `opened`."""
+    """A bus session and the processes started for a job; made by `open_session`."""
 
     job: str
     """Its name on the bus."""
@@ -36,7 +36,7 @@ class LocalSession:
     endpoint: str
     """Address that processes connect to."""
     credential_flags: Sequence[str]
-    """Credential flags of the processes; empty: links are not encrypted."""
+    """Flags of all processes; empty: links are not encrypted."""
     processes: ProcessGroup
     display: ProgressDisplay
     restarts: RestartPolicy
@@ -47,7 +47,7 @@ class LocalSession:
         self.processes.hire("recorder", "qdgrasp_coordinator.cli.recorder_process", flags)
 
     def start_workers(self, count: int) -> None:
-        """Start workers."""
+        """Start so many workers."""
         for number in range(count):
             start_worker(self.processes, number, self._connection_flags)
 
@@ -59,11 +59,11 @@ class LocalSession:
         batch_size: int | None = None,
         on_step: Callable[[], None] = lambda: None,
     ) -> None:
-        """Carry out a programme in this thread, until it is done or the job is ended.
+        """Carry out a queue of runs in this thread, until it is done or the job is ended.
 
-        `make_record`: makes the record that takes a run's rows. `batch_size`: rows in a batch; None:
-        measured. `on_step`: called at every step. Raises EndedEarly: the job was cancelled, or processes die
-        again and again. RunsFailed: runs could not be carried out.
+        `make_record` makes the sink of a run's rows; `batch_size` is in rows, None: measured; `on_step` is
+        called at every step. Raises EndedEarly if the job was cancelled, or processes die again and again,
+        and RunsFailed if runs could not be carried out.
         """
         service = CoordinatorService(
             self.bus, stop, job=self.job, programme=queue, make_record=make_record, batch_size=batch_size
@@ -94,7 +94,7 @@ def open_session(
 ) -> Iterator[LocalSession]:
     """Open a job's session; leaving it ends the started processes and the bus session.
 
-    `logs`: the folder in which each process has a log. `bus`: a session, opened here.
+    Each process has a log in the folder `logs`; `bus` is opened here.
     """
     with bus, ProcessGroup(logs, GRACE) as processes:
         yield LocalSession(
@@ -110,10 +110,9 @@ def run_temporary_job(
     display: ProgressDisplay,
     stop: Stop,
 ) -> None:
-    """Carry out a programme with workers of this machine until it is done or a signal comes.
+    """Carry out a queue of runs with workers of this machine, until a signal comes.
 
-    `job`: its name on the bus, which no other process uses. `make_record`: makes the record that takes a
-    run's rows. Raises EndedEarly: workers die again and again. RunsFailed: runs could not be carried out.
+    `job` is its name on the bus, which no other process uses. Raises as `LocalSession.coordinate`.
     """
     with (
         tempfile.TemporaryDirectory(prefix="qdgrasp-") as logs,

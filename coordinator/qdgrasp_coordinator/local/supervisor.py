@@ -1,4 +1,4 @@
-"""One machine: a coordinator, a recorder and workers on loopback, started and restartsed together.
+"""One machine: coordinator, recorder and workers on loopback, started and watched together.
 
 The same processes, commands and messages as on many machines; there is no second code path.
 """
@@ -79,8 +79,8 @@ class Supervisor:
     def run(self) -> None:
         """Carry the job out to its end.
 
-        Raises EndedEarly: the job was cancelled, or processes die again and again; `qdgrasp resume` goes on.
-        InputError: a process ended with a sentence that names bad input or environment.
+        Raises EndedEarly if the job was cancelled, or processes die again and again (`qdgrasp resume` goes
+        on), and InputError if a process ended with a sentence that names bad input or environment.
         """
         self._stop.tell(lambda: self._news.put(None))
         with ExitStack() as stack:

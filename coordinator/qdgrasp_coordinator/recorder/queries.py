@@ -244,7 +244,7 @@ class QueryServer:
         try:
             with Journal.open(path) as journal:
                 self._homes[journal.scene] = path
-                legend = self._legends.of(RunFolder(path), journal)
+                legend = self._legends.get(RunFolder(path), journal)
                 return messages.encode(
                     _page_message(journal, run, *success_page(journal, _number(query, "from"), legend))
                 )

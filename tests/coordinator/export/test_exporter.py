@@ -89,7 +89,7 @@ def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setitem(
-        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.negatives)
+        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.default_failures)
     )
     with pytest.raises(InputError, match="no space left on device"):
         export_run(run, tmp_path / "out", name)
@@ -98,7 +98,7 @@ def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(
     export_run(run, tmp_path / "out", name)
     before = READERS[name](tmp_path / "out").matrices
     monkeypatch.setitem(
-        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.negatives)
+        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.default_failures)
     )
     with pytest.raises(InputError):
         export_run(run, tmp_path / "out", name, min_fitness=2, force=True)

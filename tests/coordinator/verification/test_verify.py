@@ -134,7 +134,7 @@ def test_many_rows_are_several_lots(tmp_path: Path, make_scene: SceneMaker) -> N
 
 
 def test_lots_are_the_runs_of_a_job_one_after_the_other(folders: list[RunFolder]) -> None:
-    lots = ReevaluationQueue(choose_rows(folders, 20, 0), ComparisonCounts().compared)
+    lots = ReevaluationQueue(choose_rows(folders, 20, 0), ComparisonCounts().add_row)
     assert lots.extent.evaluations == 20
     first = lots.next()
     assert first is not None
@@ -169,7 +169,7 @@ def test_what_differs_is_noted_by_row_and_column(folders: list[RunFolder]) -> No
     now = recorded.copy()
     now["fitness"][1] += 1
     for place in range(3):
-        found.compared(lot, place, recorded[place], now[place], "")
+        found.add_row(lot, place, recorded[place], now[place], "")
     (different,) = found.different
     assert (different.number, list(different.columns)) == (int(lot.numbers[1]), ["fitness"])
     assert (dict(found.columns), sum(found.outcomes.values())) == ({"fitness": 1}, 3)
