@@ -134,7 +134,7 @@ class ArchivePin(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     """sha256 of the mesh file in the archive."""
 
     def difference(self, other: "ArchivePin") -> str | None:
-        """Describe the first difference from `other`; values that are None are not compared."""
+        """Describe the first difference from `other`; unknown values are not compared."""
         for field, words in (
             ("size", "{} bytes"),
             ("sha256", "sha256 {}"),

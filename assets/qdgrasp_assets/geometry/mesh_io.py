@@ -122,7 +122,7 @@ class MeshFile:
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Read the triangles of any readable mesh file; parameters and errors as of `read_mesh_file`."""
+    """Read the triangles of any readable mesh file; otherwise as `read_mesh_file`."""
     return read_mesh_file(path).mesh
 
 

@@ -55,7 +55,7 @@ class MeshEdges:
 
     @cached_property
     def which(self) -> Numbers:
-        """(3 f,): the number of each directed edge without its direction."""
+        """(3 f,): index of each directed edge regardless of its direction."""
         low, high = self.directed.min(axis=1), self.directed.max(axis=1)
         _, which = np.unique(low * len(self.mesh.vertices) + high, return_inverse=True)
         return which.reshape(-1)

@@ -295,7 +295,7 @@ def _comment(text: str) -> Iterator[str]:
 
 
 def _table(table: Struct) -> Iterator[str]:
-    """Return the lines of a table, without values that are the default."""
+    """Yield the lines of a table, without values that are the default."""
     for column in structs.fields(table):
         value = getattr(table, column.name)
         if column.default is UNSET or value != column.default:

@@ -101,7 +101,7 @@ def _reached(element: ET.Element, roots: Iterable[str]) -> set[str]:
 
 
 def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
-    """Return the parent and child link of each joint; empty where a joint does not name one."""
+    """Yield the parent and child link of each joint; empty where a joint does not name one."""
     for joint in element.findall("joint"):
         yield _end(joint, "parent"), _end(joint, "child")
 
@@ -315,7 +315,7 @@ def mesh_faults(hand: Urdf) -> tuple[str, ...]:
 
 
 def _kind_faults(hand: Urdf) -> Iterator[str]:
-    """Return a sentence for each kind of mesh file that the simulator does not read."""
+    """Yield a sentence for each kind of mesh file that the simulator does not read."""
     kinds: dict[str, list[str]] = {}
     for name in _references(hand):
         kinds.setdefault(_suffix(name), []).append(name)
