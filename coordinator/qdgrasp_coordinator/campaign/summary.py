@@ -97,12 +97,8 @@ def run_summary(folder: RunFolder) -> RunSummary:
         found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
         return RunSummary(
             **structs.asdict(run_totals(found)),
-            gripper=spec.gripper,
-            object=spec.object,
+            **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
             scale=spec.scale or 1.0,
-            method=spec.method,
-            protocol=spec.protocol,
-            seed=spec.seed,
             overlaps_mode=spec.overlaps,
             budget=spec.evaluations,
             rows=found.rows,

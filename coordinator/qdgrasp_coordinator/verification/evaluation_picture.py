@@ -8,16 +8,8 @@ import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_coordinator.rendering.annotations import (
-    ANNOTATION_COLOURS,
-    APPROACH_COLOUR,
-    CONTACT_WORDS,
-    INK,
-    Canvas,
-    SceneAnnotations,
-    contact_colours,
-    label_font,
-)
+from qdgrasp_coordinator.rendering import annotations
+from qdgrasp_coordinator.rendering.annotations import INK, Canvas, label_font
 from qdgrasp_coordinator.report import row_report
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.verification import comparison
@@ -144,10 +136,10 @@ def replay_pictures(
 ) -> Iterator[Image.Image]:
     """Yield each frame of a replay with annotations and caption."""
     shots = replay.answer.shots
-    marks = SceneAnnotations(gripper, replay.answer.camera, layout.small)
+    marks = annotations.SceneAnnotations(gripper, replay.answer.camera, layout.small)
     legend = [
-        ("approach axis", APPROACH_COLOUR),
-        *((CONTACT_WORDS[hue], hue) for hue in contact_colours(shots)),
+        ("approach axis", annotations.APPROACH_COLOUR),
+        *((annotations.CONTACT_WORDS[hue], hue) for hue in annotations.contact_colours(shots)),
     ]
     for frame, shot in zip(replay.frames, shots, strict=True):
         canvas = Canvas(frame)
@@ -216,7 +208,9 @@ def _palette(images: Sequence[Image.Image]) -> Image.Image:
         sheet.paste(image, (0, place * image.height))
     reduced = sheet.quantize(PALETTE_COLOURS, method=Image.Quantize.MEDIANCUT).convert("RGB")
     found = reduced.getcolors(PALETTE_COLOURS) or []
-    exact = np.array([ImageColor.getrgb(hue) for hue in ("white", FAINT, INK, *ANNOTATION_COLOURS)])
+    exact = np.array(
+        [ImageColor.getrgb(hue) for hue in ("white", FAINT, INK, *annotations.ANNOTATION_COLOURS)]
+    )
     others = np.array([colour for _, colour in found])
     is_apart = np.abs(others[:, None] - exact).max(axis=2).min(axis=1) > LEGEND_GAP
     palette = Image.new("P", (1, 1))

@@ -4,8 +4,9 @@ Rows are drawn so that each outcome has its share, and evaluated as runs of a te
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -77,94 +78,80 @@ class RowSelection:
         return in_own_shape(np.concatenate(parts), self.folder, self.found_by, self.folder.scene())
 
 
-TakeComparison = Callable[[RowSelection, int, np.void, np.void, str], None]
-"""Takes a selection, a row's place in it, the row as recorded and as now, and its failure."""
+VERIFICATION_JOB = "verify"
+TRIAL_KIND = 16  # Offset of a trial's kind from that of a nominal row with the same outcome
 
 
 class ReevaluationQueue:
-    """Queue of selections of rows that are evaluated again; each is read when it is next."""
+    """Queue of selections of rows that are evaluated again, and the results so far.
 
-    def __init__(self, selections: Sequence[RowSelection], compare: TakeComparison) -> None:
+    Each selection is read when it is next.
+    """
+
+    def __init__(self, selections: Sequence[RowSelection]) -> None:
         self._selections = {str(number): one for number, one in enumerate(selections)}
         self._left = deque(self._selections)
-        self._compare = compare
+        self._sinks: list[MemorySink] = []
         self.extent = JobExtent.of({name: len(one.numbers) for name, one in self._selections.items()})
+        self.different: list[DifferentRow] = []
+        self.columns: Counter[str] = Counter()
+        self.outcomes: Counter[Outcome] = Counter()
 
     def next(self) -> RunPlan | None:
-        """Return the next selection; None when no one is left."""
+        """Return the next selection as a run; None when all were given."""
         if not self._left:
             return None
         name = self._left.popleft()
-        return self._plan(name, self._selections[name])
-
-    def put_back(self, run: str) -> None:
-        """Have a selection evaluated from its beginning, before any other."""
-        self._left.appendleft(run)
-
-    def _plan(self, name: str, selection: RowSelection) -> RunPlan:
+        selection = self._selections[name]
         spec, recorded = selection.found_by.spec, selection.rows()
         prior = method(spec.method).prior
-
-        def take(place: int, now: np.void, reason: str) -> None:
-            self._compare(selection, place, recorded[place], now, reason)
-
         return RunPlan(
             name,
             to_toml(spec).encode(),
             selection.folder.bundle(),
             prior,
             row_shape(selection.folder.scene(), prior),
-            ReevaluationPlan(recorded, take),
+            ReevaluationPlan(recorded, partial(self.add_row, selection, recorded)),
             len(recorded),
         )
 
-
-VERIFICATION_JOB = "verify"
-TRIAL_KIND = 16  # Offset of a trial's kind from that of a nominal row with the same outcome
-
-
-class ComparisonCounts:
-    """Results of the rows that were evaluated again so far."""
-
-    def __init__(self) -> None:
-        self.different: list[DifferentRow] = []
-        self.columns: Counter[str] = Counter()
-        self.outcomes: Counter[Outcome] = Counter()
-        self._sinks: list[MemorySink] = []
-
-    def add_row(
-        self, selection: RowSelection, place: int, recorded: np.void, now: np.void, reason: str
-    ) -> None:
-        """Compare a row with what is recorded, and count it."""
-        self.outcomes[Outcome(recorded["outcome"])] += 1
-        differences = {
-            name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
-            for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
-            if differs[0]
-        }
-        if differences:
-            self.columns.update(differences.keys())
-            self.different.append(
-                DifferentRow(
-                    folder=str(selection.folder.path),
-                    run=selection.found_by.run,
-                    number=int(selection.numbers[place]),
-                    generation=int(recorded["generation"]),
-                    index=int(recorded["index"]),
-                    trial=int(recorded["trial"]),
-                    columns=differences,
-                    reason=reason,
-                )
-            )
+    def put_back(self, run: str) -> None:
+        """Have a selection evaluated from its beginning, before any other."""
+        self._left.appendleft(run)
 
     def make_sink(self, plan: RunPlan) -> MemorySink:
         """Make the in-memory sink of a selection."""
         self._sinks.append(MemorySink(plan.shape))
         return self._sinks[-1]
 
+    def add_row(self, selection: RowSelection, rows: Rows, place: int, now: np.void, reason: str) -> None:
+        """Compare a row with the one at its place in the recorded `rows` (n,), and count it."""
+        recorded = rows[place]
+        self.outcomes[Outcome(recorded["outcome"])] += 1
+        differences = {
+            name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
+            for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
+            if differs[0]
+        }
+        if not differences:
+            return
+        self.columns.update(differences.keys())
+        self.different.append(
+            DifferentRow(
+                folder=str(selection.folder.path),
+                run=selection.found_by.run,
+                number=int(selection.numbers[place]),
+                generation=int(recorded["generation"]),
+                index=int(recorded["index"]),
+                trial=int(recorded["trial"]),
+                columns=differences,
+                reason=reason,
+            )
+        )
+
     @property
     def platform(self) -> dict[str, str]:
-        """Platform on which they were evaluated."""
+        """Platform on which rows were evaluated."""
         return next((sink.platform for sink in self._sinks if sink.platform), {})
 
 
@@ -202,10 +189,8 @@ def verify_rows(
 
     Raises RunsFailed if a folder cannot be read, and EndedEarly if workers die again and again.
     """
-    found = ComparisonCounts()
-    run_temporary_job(
-        VERIFICATION_JOB, ReevaluationQueue(selections, found.add_row), found.make_sink, config, display, stop
-    )
+    found = ReevaluationQueue(selections)
+    run_temporary_job(VERIFICATION_JOB, found, found.make_sink, config, display, stop)
     rows = sum(found.outcomes.values())
     return VerificationReport(
         rows=rows,

@@ -1,10 +1,16 @@
-"""Isaac Grasp YAML, format version 1.0: one file for a hand and an object, joints by name.
+"""YAML files of grasps: Isaac Grasp, format version 1.0, and MoveIt.
 
-Public descriptions: Isaac Sim, "Grasp Editor" (keys `object_frame_link`, `gripper_frame_link`), and Isaac
-ROS, "Isaac Grasp File" (`object_frame`, `gripper_frame`); files here have both. Readers of either take the
-poses from `grasps` and pass over what they do not know, such as the block `qdgrasp`.
+An Isaac file is for one hand and one object, joints by name. Public descriptions: Isaac Sim, "Grasp Editor"
+(keys `object_frame_link`, `gripper_frame_link`), and Isaac ROS, "Isaac Grasp File" (`object_frame`,
+`gripper_frame`); files here have both. Readers of either take the poses from `grasps` and pass over what they
+do not know, such as the block `qdgrasp`.
+
+For MoveIt the list `grasps` has messages `moveit_msgs/msg/Grasp` (ROS 2). `grasp_pose` is that of the hand's
+root link, the parent link of the end effector, in the object's frame. The hand closes at that pose, as it was
+simulated; approach and retreat, along the hand's own approach axis, are suggestions.
 """
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,7 +38,7 @@ MOST_JOINTS = 1000  # Of a hand, at most
 WXYZ = "w, then xyz = [x, y, z]"
 
 
-def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
+def write_isaac(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     """Write grasps as Isaac Grasp YAML."""
     with path.open("w", encoding="utf-8") as file:
         file.write(f"format: {FORMAT}\nformat_version: {VERSION}\n")
@@ -84,7 +90,7 @@ def _mapping(names: list[str], values: list[str]) -> str:
     return "\n" + "".join(f"      {name}: {value}\n" for name, value in zip(names, values, strict=True))
 
 
-def read(path: Path) -> ImportedGrasps:
+def read_isaac(path: Path) -> ImportedGrasps:
     """Read the grasps in an Isaac Grasp YAML file, of ours or of others."""
     tree = read_yaml(path)
     if isinstance(tree, dict) and "qdgrasp" in tree and isinstance(tree.get("grasps"), list):
@@ -182,3 +188,63 @@ def _numbers(path: Path, what: tuple[str, ...], values: Tree | None, count: int)
             pass
     wanted = "a number" if count == 1 else f"{count} numbers"
     raise UnreadableGrasps(path, f"{': '.join(what)} must be {wanted}")
+
+
+HEADER = "{{stamp: {{sec: 0, nanosec: 0}}, frame_id: {}}}"
+
+
+def write_moveit(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
+    """Write grasps as a YAML list of MoveIt's messages."""
+    with path.open("w", encoding="utf-8") as file:
+        file.write(yaml_block({"qdgrasp": metadata.values}))
+        file.write("grasps:\n")
+        file.writelines(_messages(grasps, metadata))
+
+
+def _messages(grasps: Grasps, metadata: GraspMetadata) -> Iterator[str]:
+    """Yield the lines of each message."""
+    names = ", ".join(map(_quoted, grasps.joint_names))
+    moves = _moves(grasps)
+    object_frame, touched = HEADER.format(_quoted(metadata.object)), _quoted(metadata.object)
+    for number, quality, pose, closed, start in grasp_decimals(grasps, metadata.frame):
+        x, y, z, qx, qy, qz, qw = pose
+        yield (
+            f"- id: grasp_{number}\n"
+            f"  pre_grasp_posture: {_posture(names, start)}\n"
+            f"  grasp_posture: {_posture(names, closed)}\n"
+            f"  grasp_pose:\n"
+            f"    header: {object_frame}\n"
+            f"    pose: {{position: {{x: {x}, y: {y}, z: {z}}}, "
+            f"orientation: {{x: {qx}, y: {qy}, z: {qz}, w: {qw}}}}}\n"
+            f"  grasp_quality: {quality}\n"
+            f"{moves}"
+            f"  max_contact_force: 0.0\n"
+            f"  allowed_touch_objects: [{touched}]\n"
+        )
+
+
+def _posture(names: str, positions: list[str]) -> str:
+    """Write a trajectory_msgs/msg/JointTrajectory of one point."""
+    point = (
+        f"{{positions: [{', '.join(positions)}], velocities: [], accelerations: [], effort: [], "
+        "time_from_start: {sec: 0, nanosec: 0}}"
+    )
+    return f"{{header: {HEADER.format(_quoted(''))}, joint_names: [{names}], points: [{point}]}}"
+
+
+def _moves(grasps: Grasps) -> str:
+    """Write approach and retreats: the hand's reach, at least the range of its stand-off."""
+    hand = grasps.scene.gripper
+    header = HEADER.format(_quoted(hand.base_link))
+    lines = ""
+    for name, sign in (("pre_grasp_approach", 1), ("post_grasp_retreat", -1), ("post_place_retreat", -1)):
+        ((x, y, z),) = table_decimals(sign * np.array([hand.approach_axis]) + 0.0)
+        lines += (
+            f"  {name}: {{direction: {{header: {header}, vector: {{x: {x}, y: {y}, z: {z}}}}}, "
+            f"desired_distance: {hand.reach:.6f}, min_distance: {hand.standoff[1]:.6f}}}\n"
+        )
+    return lines
+
+
+def _quoted(name: str) -> str:
+    return json.dumps(name, ensure_ascii=False)
