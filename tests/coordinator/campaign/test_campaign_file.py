@@ -213,7 +213,7 @@ WATER = MassRule(density=1000.0)
 
 @pytest.fixture
 def parts(tmp_path: Path) -> Path:
-    """A folder with two meshes in millimetres, and files that are none."""
+    """A folder with two meshes in millimetres, and other files."""
     folder = tmp_path / "my parts"
     folder.mkdir()
     for name in ("lever arm.stl", "Bügel.ply"):

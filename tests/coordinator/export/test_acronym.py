@@ -121,7 +121,7 @@ def test_hdf5_that_is_no_acronym_file_is_refused(panda, tmp_path: Path) -> None:
 
 
 MARKER = np.array([(x, 0.0, z) for x in (0.041, -0.041) for z in (0.066, 0.0875, 0.109)])
-"""Points on the two fingers of ACRONYM's gripper marker [m]: at x = +-0.041, z from 0.066 to 0.112."""
+"""Points on the fingers of ACRONYM's gripper marker [m]: x = +-0.041, z 0.066 to 0.112."""
 THICKNESS = 2e-3
 """Of the marker's tubes, and how far its fingers may be beside those of the hand [m]."""
 OPENED = 0.04
@@ -135,7 +135,7 @@ def scene() -> Scene:
 
 @pytest.fixture(params=TURNS)
 def grasp(request: pytest.FixtureRequest, scene: Scene, tmp_path: Path) -> np.ndarray:
-    """A known grasp: the cube's centre is 9 cm in front of the hand. Its pose (7,), in a run's only row."""
+    """Pose (7,) in a run's only row; the cube's centre is 9 cm in front of the hand."""
     turn = Rotation.from_euler("xyz", TURNS[request.param], degrees=True)
     rows = RowShape(len(layout(scene, "contact")), 2).empty(1)
     rows["outcome"], rows["fitness"], rows["joints"] = Outcome.HELD, 2.0, 0.028
@@ -148,13 +148,13 @@ def grasp(request: pytest.FixtureRequest, scene: Scene, tmp_path: Path) -> np.nd
 
 
 def placed(path: Path, points: np.ndarray) -> np.ndarray:
-    """Points of the marker in the frame of the mesh, as whoever reads the file places them."""
+    """Points of the marker in the frame of the mesh, as a reader of the file places them."""
     (transform,) = READERS["acronym"](path).matrices
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
 def is_inside(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Which points (n, 3) are in the convex hull of others, or nearly."""
+    """Flag points (n, 3) that are in the convex hull of others, or nearly."""
     planes = ConvexHull(vertices).equations
     return (points @ planes[:, :3].T + planes[:, 3] <= THICKNESS).all(axis=1)
 

@@ -97,7 +97,7 @@ def stopwatch(*ticks: ReturnedBatch) -> ThroughputMeter:
 def regular(
     wid: str, every: float, rows: int, start: float = 0.0, generation: int = 5
 ) -> list[ReturnedBatch]:
-    """A worker that gives `rows` rows `every` so many seconds, for which it needs half of the time."""
+    """A worker that gives `rows` rows `every` so many seconds, and needs half of the time."""
     return [ReturnedBatch(start + every * i, wid, generation, rows, every / 2, 1, 2) for i in range(1, 9)]
 
 

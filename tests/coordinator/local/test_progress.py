@@ -1,4 +1,4 @@
-"""What is seen of a job's progress, on a terminal and elsewhere."""
+"""Progress of a job on a terminal and elsewhere."""
 
 import io
 import threading

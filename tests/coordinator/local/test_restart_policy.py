@@ -1,4 +1,4 @@
-"""What a death among a job's processes means."""
+"""Restarts after deaths among a job's processes."""
 
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ class Staff:
         self.watch = RestartPolicy(self, self, lambda: self.hired.append(self.now))  # type: ignore[arg-type]
 
     def dies(self, name: str, code: int, words: str = "") -> None:
-        """A member dies, and whoever is due is started again."""
+        """A process dies, and those that are due are started again."""
         self.dead, self.words[name] = [ProcessExit(name, code)], words
         self.watch.check(self.now)
         self.dead = []
@@ -141,7 +141,7 @@ def test_a_member_that_names_bad_input_ends_the_job_unless_the_coordinator_is_aw
 
 
 class StartedProcesses(ProcessGroup):
-    """A crew that notes with what its members are started, and starts nobody."""
+    """A group that notes the arguments of its processes, and starts no process."""
 
     def hire(self, name: str, module: str, arguments: Any, core: int | None = None) -> None:
         self.command = ["qdgrasp-worker", *arguments]

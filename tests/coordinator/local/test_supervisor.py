@@ -1,4 +1,4 @@
-"""How the processes of a job on one machine are started, and started again."""
+"""Start and restart of the processes of a job on one machine."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -12,7 +12,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.process import ProcessExit, Stop
 
 CHOSEN = "tcp/127.0.0.1:50123"
-"""Where a coordinator listens that was not told where."""
+"""Endpoint of a coordinator that was not given one."""
 
 
 class Staff:

@@ -97,7 +97,7 @@ def made(tmp_path: Path, make_scene: SceneMaker) -> Made:
 
 
 def run_of(path: Path, scene: Scene, outcomes: list[Outcome], **settings: str) -> Made:
-    """A run that recorded nominal rows with these outcomes; those with a pose stand at (1, 2, 3) cm."""
+    """A run with nominal rows of these outcomes; those with a pose stand at (1, 2, 3) cm."""
     rows = RowShape(len(layout(scene, PRIOR)), 2).empty(len(outcomes))
     rows["index"], rows["outcome"] = np.arange(len(rows)), outcomes
     rows["fitness"] = np.clip(rows["outcome"].astype(int) - Outcome.DROPPED, 0, 2)

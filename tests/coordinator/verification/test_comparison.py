@@ -1,4 +1,4 @@
-"""What differs is found to the last bit, and told in words."""
+"""Differences are found to the last bit, and put into words."""
 
 import numpy as np
 import pytest

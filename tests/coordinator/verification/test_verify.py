@@ -1,4 +1,4 @@
-"""Which rows are looked at: each kind has its share."""
+"""Choice of rows, each kind with its share, and their comparison."""
 
 from pathlib import Path
 
