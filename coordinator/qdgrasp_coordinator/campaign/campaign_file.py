@@ -1,6 +1,6 @@
 """Reads a campaign: the runs that a TOML file or a folder of meshes asks for.
 
-Mesh files are read before anything is begun, so that all faults are told at once.
+Mesh files are read before anything is begun, so that all faults are named at once.
 """
 
 import csv

@@ -155,7 +155,7 @@ def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[st
 
 
 PARTIAL_FILE = "run.sqlite.part"
-SETTLE_TIMEOUT = 1.0  # seconds; whoever only looks at a run has its journal open for an instant
+SETTLE_TIMEOUT = 1.0  # seconds; a reader of a run has its journal open for an instant
 SETTLE_INTERVAL = 0.05  # seconds between two tries
 PRIMARY_CODE = 0xFF  # The bits of SQLite's error codes that say what went wrong; those above say more of how
 
@@ -234,7 +234,7 @@ def _checkpoint_journal(file: Path) -> None:
             raise FolderError(
                 f"{file} is being read by another process; nothing was changed: prune it when that is done."
             )
-        time.sleep(SETTLE_INTERVAL)  # SQLite waits for nobody here
+        time.sleep(SETTLE_INTERVAL)  # SQLite itself does not wait here
 
 
 def _is_checkpointed(file: Path) -> bool:

@@ -32,10 +32,10 @@ def change_frame(poses: Floats, com_in_mesh: ArrayLike, source: Frame, target: F
     return found
 
 
-def turn_hand_axes(poses: Floats, turn: Floats) -> Floats:
+def turn_hand_axes(poses: Floats, rotation: Floats) -> Floats:
     """Turn the hand's own axes of poses (n, 7) by a quaternion (4,), xyzw."""
-    turns = np.broadcast_to(turn, (len(poses), 4))
-    return np.hstack([poses[:, :3], multiply(poses[:, 3:], turns)])
+    rotations = np.broadcast_to(rotation, (len(poses), 4))
+    return np.hstack([poses[:, :3], multiply(poses[:, 3:], rotations)])
 
 
 def to_matrices(poses: Floats) -> Floats:
@@ -62,8 +62,8 @@ def jaw_turn(gripper: SceneGripper) -> Floats:
     """
     z = np.array([gripper.approach_axis])
     x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
-    turn: Floats = from_frame(x, np.cross(z, x), z)[0]
-    return turn
+    rotation: Floats = from_frame(x, np.cross(z, x), z)[0]
+    return rotation
 
 
 @dataclass(frozen=True)

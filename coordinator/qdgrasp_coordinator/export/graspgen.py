@@ -6,7 +6,7 @@ has
 * `grasp_data/NAME.json`             transforms and bits, and what the file says of itself
 * `grasp_data/map_uuid_to_path.json` which object is in which file
 * `splits/train.txt`, `valid.txt`    the object, in both: there is one
-* `object_data/NAME.obj`             its mesh, in metres, in the frame that the transforms are told in
+* `object_data/NAME.obj`             its mesh, in metres, in the frame of the transforms
 """
 
 from dataclasses import replace

@@ -15,7 +15,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.text import printable
 
-QUIET_INTERVAL = 5.0  # seconds between lines where nobody sees a moving one
+QUIET_INTERVAL = 5.0  # seconds between lines where there is no terminal
 
 
 class ProgressDisplay(Protocol):

@@ -62,7 +62,7 @@ class RestartPolicy:
         """Count deaths, and restart the processes that may be.
 
         Raises InputError if a process ended with a sentence that names bad input or environment, and
-        EndedEarly if the coordinator decided to end, or was told to, or a process dies again and again.
+        EndedEarly if the coordinator ended by decision or order, or a process dies again and again.
         """
         for death in self._processes.deaths():
             if death.name == COORDINATOR:

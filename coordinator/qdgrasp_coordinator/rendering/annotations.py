@@ -133,7 +133,7 @@ class Canvas:
         """Draw a line that ends in a tip."""
         way = np.subtract(end, start)
         length = float(np.hypot(*way))
-        if length < 1.0:  # it points at whoever looks
+        if length < 1.0:  # it points at the viewer
             self.draw_disc(start, width, colour)
             return
         along = way / length

@@ -26,6 +26,7 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     ArchiveGrowth,
     archive_growth,
 )
+from qdgrasp_coordinator.rendering.annotations import AXIS_COLOURS, FRAME_LENGTH, INK
 from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_coordinator.rendering.ray_renderer import (
     FIELD,
@@ -73,7 +74,7 @@ GRASPS_SIZE = (16.0, 10.0)  # inches
 HANDS_BOX, CELLS_BOX = (0.01, 0.02, 0.545, 0.872), (0.6, 0.385, 0.294, 0.47)
 GROWTH_BOX = (0.64, 0.085, 0.26, 0.19)
 """Left, bottom, width and height of the three panels, as shares of the figure."""
-INK, FAINT = "#22262b", "#69717a"
+FAINT = "#69717a"
 GROWTH_COLOURS = {"successes": "#8a9199", "cells": "#2a73b9"}
 OUTCOME_NOUNS = {Outcome.DROPPED: "successes", Outcome.SHAKEN: "grasps", Outcome.HELD: "robust"}
 LABELS_APART = 0.22
@@ -198,8 +199,6 @@ PORTRAIT_SIZE, PORTRAIT_DPI = (12.0, 6.4), 100  # inches
 PORTRAIT_PIXELS = 560  # Width and height of each of the two views
 AZIMUTH = np.radians(35.0)
 BEYOND = 1.2  # The name of an axis stands so far out, in its lengths
-FRAME_LENGTH = 0.04  # Length of the axes of a frame [m]
-AXIS_COLOURS = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
 OUTLINE = withStroke(linewidth=3, foreground="white")  # Keeps a letter readable on any part
 CLOSE_TOGETHER = 0.01  # What an object is drawn in is at least so wide [m]
 OPEN_EDGE_COLOUR = "#d62728"
@@ -217,7 +216,7 @@ def draw_gripper(gripper: SceneGripper, path: Path) -> None:
     along its axis.
     """
     hand = hand_geometry(gripper)
-    upright = Rotation.align_vectors([[0, 0, 1]], [gripper.approach_axis])[0]  # the least turn that does it
+    upright = Rotation.align_vectors([[0, 0, 1]], [gripper.approach_axis])[0]  # the least rotation
     postures = {
         "open": [joint.opened for joint in gripper.joints],
         "closed": [joint.closed for joint in gripper.joints],
@@ -268,8 +267,7 @@ def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
     Open edges are red, also those behind.
     """
     loose, middle = mesh.vertices[MeshEdges(mesh).loose], np.mean(mesh.bounds, axis=0)
-    turn = Rotation.from_euler("z", 180, degrees=True).as_matrix()
-    sides = {"one side": np.eye(3), "the other side": turn}
+    sides = {"one side": np.eye(3), "the other side": Rotation.from_euler("z", 180, degrees=True).as_matrix()}
     centred = {title: Mesh((mesh.vertices - middle) @ side.T, mesh.faces) for title, side in sides.items()}
     panels = {title: [(seen_so, rgb(CLAY))] for title, seen_so in centred.items()}
     words = (
@@ -313,7 +311,7 @@ def _two_views(
     words: str,
     panels: dict[str, list[PaintedMesh]],
     field: float = FIELD,
-    tips: Point3 = np.zeros((1, 3)),  # noqa: B008  # nobody writes into it
+    tips: Point3 = np.zeros((1, 3)),  # noqa: B008  # it is only read
 ) -> tuple[Figure, ParallelCamera, list[Axes]]:
     """Make a figure with a titled view of each panel's pieces, all from one camera.
 
@@ -328,7 +326,7 @@ def _two_views(
     figure = Figure(figsize=PORTRAIT_SIZE, dpi=PORTRAIT_DPI, facecolor="white")
     figure.text(0.022, 0.945, figure_text(name), size=20, weight="bold", color=INK, va="center")
     figure.text(0.022, 0.89, figure_text(words), size=11, color=FAINT, va="center")
-    views = [figure.add_axes((0.02 + 0.49 * turn, 0.02, 0.47, 0.8)) for turn in range(len(panels))]
+    views = [figure.add_axes((0.02 + 0.49 * n, 0.02, 0.47, 0.8)) for n in range(len(panels))]
     for axes, (title, pieces) in zip(views, panels.items(), strict=True):
         image = LayeredImage(camera)
         colours = np.concatenate([np.tile(colour, (len(mesh.faces), 1)) for mesh, colour in pieces])

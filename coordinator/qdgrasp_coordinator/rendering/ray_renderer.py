@@ -62,7 +62,7 @@ class ParallelCamera:
 
 
 MARGIN = 0.015  # Left free on each side, as a share of the image
-FIELD = 0.26  # No image is narrower than this unless it is asked for [m], so that small things look small
+FIELD = 0.26  # No image is narrower than this unless it is asked for [m], so that small objects look small
 
 
 def fit_camera(
@@ -147,11 +147,13 @@ def corner_normals(mesh: Mesh) -> Floats:
     """
     crosses, flat = mesh.crosses, mesh.normals
     vertex, face = mesh.faces.ravel(), np.repeat(np.arange(len(mesh.faces)), 3)
+    # pair each corner with every face around its vertex, then sum the crosses (normals, weighted by area) of
+    # those that are no crease away
     order = np.argsort(vertex, kind="stable")
     first, around = np.searchsorted(vertex[order], vertex), np.bincount(vertex)[vertex]
     corner = np.repeat(np.arange(len(vertex)), around)
-    turn = np.arange(len(corner)) - np.repeat(np.cumsum(around) - around, around)
-    other = face[order[first[corner] + turn]]
+    rank = np.arange(len(corner)) - np.repeat(np.cumsum(around) - around, around)
+    other = face[order[first[corner] + rank]]
     smooth = np.einsum("ij,ij->i", flat[face[corner]], flat[other]) > CREASE_COSINE
     sums = [np.bincount(corner[smooth], crosses[other[smooth], k], len(vertex)) for k in range(3)]
     return unit_vectors(np.stack(sums, axis=1)).reshape(-1, 3, 3)
@@ -174,9 +176,9 @@ def sky_lamps(camera: ParallelCamera) -> tuple[Floats, Floats]:
     A surface that faces the sun, with nothing above it, receives 1.
     """
     place = np.arange(LAMPS) + 0.5
-    height, turn = 1 - 2 * place / LAMPS, place * np.pi * (3 - np.sqrt(5))
+    height, angle = 1 - 2 * place / LAMPS, place * np.pi * (3 - np.sqrt(5))  # the golden angle
     ring = np.sqrt(1 - height**2)
-    lamps = np.stack([ring * np.cos(turn), height, ring * np.sin(turn)], axis=1)
+    lamps = np.stack([ring * np.cos(angle), height, ring * np.sin(angle)], axis=1)
     sun = unit_vectors(np.array([SUN]))[0]
     brightness = 1.0 + 0.5 * height + 5.0 * np.exp(10.0 * (lamps @ sun - 1))
     brightness /= (brightness * np.clip(lamps @ sun, 0, None)).sum()
@@ -250,9 +252,10 @@ class LayeredImage:
         if not self.translucent:
             return []
         pixels, depth, paint = (np.concatenate(parts) for parts in zip(*self.translucent, strict=True))
+        # sort by pixel, the farthest first; step k has the hit of rank k of each pixel
         seen = np.flatnonzero(depth < self.depth[pixels])
         order = seen[np.lexsort((-depth[seen], pixels[seen]))]
         pixels, paint = pixels[order], paint[order]
         start = np.flatnonzero(np.r_[True, pixels[1:] != pixels[:-1]])
-        turn = np.arange(len(pixels)) - np.repeat(start, np.diff(np.r_[start, len(pixels)]))
-        return [(pixels[turn == k], paint[turn == k]) for k in range(int(turn.max(initial=-1)) + 1)]
+        rank = np.arange(len(pixels)) - np.repeat(start, np.diff(np.r_[start, len(pixels)]))
+        return [(pixels[rank == k], paint[rank == k]) for k in range(int(rank.max(initial=-1)) + 1)]

@@ -232,8 +232,8 @@ def _on_triangles(corners: NDArray[np.float64], n: int) -> NDArray[np.float64]:
 
 def _links(scene: Scene, chosen: Rows) -> Iterator[DrawnLink]:
     hand = hand_geometry(scene.gripper)
-    for turn, row in enumerate(chosen):
-        hue = rgb(FINGER_HUES[turn % len(FINGER_HUES)])
+    for number, row in enumerate(chosen):
+        hue = rgb(FINGER_HUES[number % len(FINGER_HUES)])
         for shape, vertices in hand.place_meshes(
             row["base_to_object"].astype(float), row["joints"].astype(float)
         ):

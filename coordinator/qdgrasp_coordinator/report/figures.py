@@ -115,12 +115,12 @@ def draw_prior_matrix(shown: Sequence[CurvePanel], *, log: bool = False) -> Figu
     return grid
 
 
-def draw_curve(axes: Axes, one: QuartileCurve, look: LineStyle) -> None:
+def draw_curve(axes: Axes, one: QuartileCurve, style: LineStyle) -> None:
     """Draw a curve: thick where all its runs are in it, thin beyond."""
     if not one.runs.any():
         return
-    colour, dashes, whole = look.colour, look.dashes, one.common_points
-    for part, width in ((slice(None, whole), 1.9), (slice(whole - 1, None), 0.8)):
+    colour, dashes, common = style.colour, style.dashes, one.common_points
+    for part, width in ((slice(None, common), 1.9), (slice(common - 1, None), 0.8)):
         axes.plot(one.evaluations[part], one.median[part], color=colour, linestyle=dashes, linewidth=width)
     axes.fill_between(one.evaluations, one.low, one.high, color=colour, alpha=BAND_OPACITY, linewidth=0)
     for run in one.group.runs:

@@ -87,7 +87,7 @@ def write_report(
     out
         The folder that is written to: a new one, an empty one, or that of an earlier analysis.
     references
-        Reference sets that are looked at before the published ones on the asset path.
+        Reference sets that take precedence over the published ones on the asset path.
     method
         The method whose cells are drawn; None: the default one, or what found the most cells.
     log

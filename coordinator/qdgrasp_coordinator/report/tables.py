@@ -154,10 +154,10 @@ def nu_rows(groups: Iterable[RunGroup]) -> list[Row]:
 
 def voxel_rows(shown: RunVoxels) -> list[Row]:
     """One row for each cell with a success: its place [cm], CoM frame, and the best in it."""
-    said = scene_columns(shown.name) | {"method": shown.run.spec.method, "run": shown.run.path.name}
+    columns = scene_columns(shown.name) | {"method": shown.run.spec.method, "run": shown.run.path.name}
     measure = "fitness" if shown.eta is None else "eta"
     return [
-        said | {"x": x, "y": y, "z": z, measure: best}
+        columns | {"x": x, "y": y, "z": z, measure: best}
         for (x, y, z), best in zip(shown.places.tolist(), shown.worth.tolist(), strict=True)
     ]
 
@@ -166,8 +166,8 @@ def claim_rows(claims: Iterable[JudgedClaim]) -> list[Row]:
     """One row for each number of each claim; a claim without numbers has one row that says so."""
     rows: list[Row] = []
     for one in claims:
-        said: Row = {"claim": one.claim.letter, "words": one.claim.words, "verdict": one.verdict.value}
-        rows += [said | _evidence_row(one, found, judged) for found, judged in one.numbers] or [said]
+        columns: Row = {"claim": one.claim.letter, "words": one.claim.words, "verdict": one.verdict.value}
+        rows += [columns | _evidence_row(one, found, judged) for found, judged in one.numbers] or [columns]
     return rows
 
 
@@ -269,11 +269,11 @@ def left_out_words(runs: Sequence[str]) -> str:
 def _overview(groups: Sequence[RunGroup]) -> str:
     runs = [run for group in groups for run in group.runs]
     going = [run for run in runs if not run.complete]
-    said = [f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})" for run in going]
+    names = [f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})" for run in going]
     more = ", see `runs.csv`" if len(going) > MOST_NAMED else ""
     scenes, evaluations = {group.scene for group in groups}, sum(run.evaluations for run in runs)
     spent = counted(evaluations, "evaluation", told="{:,}".format)
-    unfinished = f" {len(going)} unfinished: {first_few(said, MOST_NAMED)}{more}." if going else ""
+    unfinished = f" {len(going)} unfinished: {first_few(names, MOST_NAMED)}{more}." if going else ""
     return f"{counted(len(runs), 'run')} on {counted(len(scenes), 'scene')}, {spent}.{unfinished}\n"
 
 

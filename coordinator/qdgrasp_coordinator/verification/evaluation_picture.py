@@ -218,15 +218,15 @@ def _palette(images: Sequence[Image.Image]) -> Image.Image:
     return palette
 
 
-def write_evaluation(shown: ReplayTarget, wish: ReplayOptions, out: OutFile, stop: Stop) -> list[str]:
-    """Replay a row and write its picture or film, `wish.size` with its caption.
+def write_evaluation(shown: ReplayTarget, options: ReplayOptions, out: OutFile, stop: Stop) -> list[str]:
+    """Replay a row and write its picture or film, `options.size` with its caption.
 
     Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
     and of a dead end, which was not simulated. Raises InputError if the part that is asked for did not
     happen, or the file cannot be written, and NotReplayed if it could not be replayed.
     """
-    layout = PictureLayout(wish.size)
-    with replay_evaluation(shown, replace(wish, size=layout.scene), stop) as replay:
+    layout = PictureLayout(options.size)
+    with replay_evaluation(shown, replace(options, size=layout.scene), stop) as replay:
         if replay is None:
             return []
         differences, shots = list[str](), replay.answer.shots

@@ -189,7 +189,7 @@ class ReplayFailed(QdgraspError):
 
 @contextmanager
 def replay_evaluation(
-    shown: ReplayTarget, wish: ReplayOptions, stop: Stop
+    shown: ReplayTarget, options: ReplayOptions, stop: Stop
 ) -> Iterator[ReplayedEvaluation | None]:
     """Replay a row for a with-block that reads its frames; None where a signal came first.
 
@@ -199,7 +199,7 @@ def replay_evaluation(
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         folder = Path(name)
         (folder / SCENE).write_bytes(shown.bundle.payload)
-        (folder / REQUEST).write_bytes(msgspec.json.encode(wish.of(shown)))
+        (folder / REQUEST).write_bytes(msgspec.json.encode(options.of(shown)))
         _run_process(folder, stop)
         yield None if stop.is_set else _read(folder)
 

@@ -45,16 +45,17 @@ def balanced_sample(kinds: RowKinds, n: int, random: Generator) -> NDArray[np.in
     Of a kind that has fewer all are taken, of one that has more they are drawn uniformly; all, where there
     are fewer than `n`.
     """
+    # rank the shuffled rows within their kinds, and take the least ranks
     order = random.permutation(len(kinds))
     order = order[np.argsort(kinds[order], kind="stable")]
     starts = np.concatenate([[0], np.cumsum(np.bincount(kinds))])
-    turns = np.arange(len(order)) - starts[kinds[order]]
-    chosen = order[np.argsort(turns, kind="stable")[:n]]
+    ranks = np.arange(len(order)) - starts[kinds[order]]
+    chosen = order[np.argsort(ranks, kind="stable")[:n]]
     places: NDArray[np.int64] = np.sort(chosen)
     return places
 
 
-MOST_ROWS = 4096  # Rows in a lot
+MOST_ROWS = 4096  # Rows in a selection
 
 
 @dataclass(frozen=True)
