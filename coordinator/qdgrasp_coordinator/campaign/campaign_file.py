@@ -123,8 +123,20 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
     objects = {absolute_asset(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
     for values, known in _cross_lists(defaults, crosses, objects, where):
-        _add_run(runs, values, known, where)
-    _check_known(objects, {spec.object for spec in runs.values()}, where)
+        spec = full_spec(values | known, where)
+        name = run_name(spec, values)
+        if runs.setdefault(name, spec) != spec:
+            raise InputError(
+                f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
+                "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
+            )
+    used = {spec.object for spec in runs.values()}
+    for name in objects:
+        if name not in used:
+            raise InputError(
+                f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
+                "[[cross]], in the same words."
+            )
     if here:
         _check_assets(runs.values())
     resolved = {"defaults": defaults, "cross": crosses} | ({"objects": objects} if objects else {})
@@ -191,16 +203,6 @@ def _check_assets(specs: Collection[RunSpec]) -> None:
             raise JawNeeded(ANTIPODAL, Path(spec.gripper).stem)
 
 
-def _check_known(objects: ObjectValues, used: Collection[str], where: str) -> None:
-    """Check that every object with known values is grasped by a run."""
-    for name in objects:
-        if name not in used:
-            raise InputError(
-                f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
-                "[[cross]], in the same words."
-            )
-
-
 def _check_tables(source: dict[str, Any], where: str) -> None:
     """Check the keys of a campaign's file that are not a run's."""
     for key in source:
@@ -238,16 +240,6 @@ def _cross_lists(
             own = objects.get(values.get("object", ""), {})
             known = {key: value for key, value in own.items() if key not in cross}
             yield {key: value for key, value in values.items() if key not in known}, known
-
-
-def _add_run(runs: dict[str, RunSpec], values: dict[str, Any], known: dict[str, Any], where: str) -> None:
-    spec = full_spec(values | known, where)
-    name = run_name(spec, values)
-    if runs.setdefault(name, spec) != spec:
-        raise InputError(
-            f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
-            "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
-        )
 
 
 MASS_TABLE = "masses.csv"  # The table of masses in a folder of meshes

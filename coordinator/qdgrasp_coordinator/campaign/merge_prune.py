@@ -70,7 +70,11 @@ def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
     parts, repeats = merge_parts(folders)
     for part in parts:
         _check_same_scene(parts[0], part)
-        _check_finished(part)
+        if trial_count(part.source.asked.protocol) and not part.source.summary["complete"]:
+            raise InputError(
+                f"{part.folder.path} is not finished, so that successes lack their trials: "
+                f"`qdgrasp resume {part.folder.path}` goes on with it."
+            )
     shape, found = common_shape([part.folder for part in parts]), _merged_summary(parts)
     identity = JournalIdentity(RUN, to_toml(_merged_spec(parts)), parts[0].source.scene, shape)
     atomic_files.create_folder(
@@ -95,15 +99,6 @@ def _check_same_scene(one: MergePart, other: MergePart) -> None:
         f"{one.folder.path} and {other.folder.path} are of different scenes, which are not merged: they "
         f"differ in {why}."
     )
-
-
-def _check_finished(part: MergePart) -> None:
-    """Check that every success has its trials, where the protocol has them."""
-    if trial_count(part.source.asked.protocol) and not part.source.summary["complete"]:
-        raise InputError(
-            f"{part.folder.path} is not finished, so that successes lack their trials: "
-            f"`qdgrasp resume {part.folder.path}` goes on with it."
-        )
 
 
 def _merged_spec(parts: Sequence[MergePart]) -> RunSpec:

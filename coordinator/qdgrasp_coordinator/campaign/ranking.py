@@ -2,7 +2,6 @@
 
 import csv
 import io
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -13,7 +12,6 @@ from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.scores import best_first, eta, scored_successes, trial_sums
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage import atomic_files
-from qdgrasp_coordinator.storage.journal_schema import JournalSource
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
@@ -51,20 +49,15 @@ def read_run_grasps(folder: RunFolder) -> Rows:
     A grasp survived a nominal shake; under a protocol with trials all of its own are recorded.
     """
     with folder.journal() as journal:
-        _check_one_prior(journal.sources, folder.path)
+        priors = sorted({method(source.asked.method).prior for source in journal.sources})
+        if len(priors) > 1:
+            raise InputError(
+                f"{folder.path} is merged from runs with different priors, {' and '.join(priors)}, whose "
+                "genomes mean different things; merge runs of one prior for this."
+            )
         found = [journal.shape.empty(0), *scored_successes(journal.kept(), trial_count(folder.spec.protocol))]
     rows = np.concatenate(found)
     return rows[rows["outcome"] >= Outcome.SHAKEN]
-
-
-def _check_one_prior(sources: tuple[JournalSource, ...], where: Path) -> None:
-    """Check that the genomes of all that was merged mean the same."""
-    priors = sorted({method(source.asked.method).prior for source in sources})
-    if len(priors) > 1:
-        raise InputError(
-            f"{where} is merged from runs with different priors, {' and '.join(priors)}, whose genomes mean "
-            "different things; merge runs of one prior for this."
-        )
 
 
 def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
@@ -96,7 +89,11 @@ def write_ranking(folder: RunFolder) -> str:
     Returns the best of them as a table. Raises FolderError if a file cannot be read or written.
     """
     table = rank_poses(folder)
-    atomic_files.replace(folder.path / RANKING, _as_csv(table))
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(RANKING_COLUMNS)
+    writer.writerows([f"{value:.9g}" for value in line] for line in table)
+    atomic_files.replace(folder.path / RANKING, file.getvalue().encode())
     shown = [
         RANKING_COLUMNS[:9],
         *(tuple(f"{value:g}" for value in line[:9]) for line in table[:RANKS_SHOWN]),
@@ -132,11 +129,3 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
         )
         for rank, place in enumerate(order.tolist(), start=1)
     ]
-
-
-def _as_csv(table: list[tuple[float, ...]]) -> bytes:
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(RANKING_COLUMNS)
-    writer.writerows([f"{value:.9g}" for value in line] for line in table)
-    return file.getvalue().encode()

@@ -152,7 +152,7 @@ def _file_bytes(grasps: Grasps, metadata: GraspMetadata) -> bytes:
             metadata, object_solid(grasps.scene.object, metadata.frame)
         ).items():
             file[f"object/{name}"] = value
-        for name, value in (_grasp_datasets(grasps, metadata) | _hand_datasets(grasps)).items():
+        for name, value in _grasp_datasets(grasps, metadata).items():
             file[name] = value
         file[ABOUT] = metadata.json
         # what the file says of itself, one attribute each; specs and digests are in the dataset `about`
@@ -178,6 +178,8 @@ def _object_datasets(metadata: GraspMetadata, body: UniformSolid) -> dict[str, o
 
 
 def _grasp_datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
+    hand = grasps.scene.gripper
+    opening = {"gripper/configuration": np.array([hand.jaw.opening / 2])} if hand.jaw else {}
     return {
         TRANSFORMS: jaw_transforms(grasps, metadata),
         SUCCESSES: grasps.is_grasp.astype(np.int8),
@@ -189,13 +191,7 @@ def _grasp_datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
         "qdgrasp/fitness": grasps.fitness,
         "qdgrasp/eta": grasps.eta,
         "qdgrasp/outcome": grasps.rows["outcome"],
-    }
-
-
-def _hand_datasets(grasps: Grasps) -> dict[str, Any]:
-    hand = grasps.scene.gripper
-    opening = {"gripper/configuration": np.array([hand.jaw.opening / 2])} if hand.jaw else {}
-    return opening | {
+        **opening,
         "gripper/type": hand.name,
         JOINTS: list(grasps.joint_names),
         SYNERGIES: list(grasps.synergy_names) or np.zeros(0, "S1"),

@@ -178,27 +178,25 @@ def import_poses(
     the hand does not have.
     """
     imported = read_grasp_file(path)
-    _check_frame(path, imported, frame)
+    metadata = imported.metadata
+    if metadata and frame not in (None, metadata.frame):
+        reason = f"it says that its poses are told in the object's {metadata.frame} frame; leave --frame out"
+        raise UnreadableGrasps(path, reason)
     poses = _root_poses(imported, hand, body, frame)
     check_positions(path, imported.names, poses)
+    unknown = np.full(len(imported), np.nan)  # the open posture
+    free = [imported.start_positions.get(joint.name, unknown) for joint in hand.free_joints]
     arrays: dict[str, NDArray[np.generic]] = {
         "base_position": poses[:, :3].astype(np.float32),
         "base_quaternion_xyzw": poses[:, 3:].astype(np.float32),
         "synergy": _synergy_labels(path, imported, hand),
-        "spread": _spreads(imported, hand),
+        "spread": np.stack(free, axis=1) if free else np.zeros((len(imported), 0)),
         "name": imported.names,
         "confidence": np.full(len(imported), np.nan) if imported.confidence is None else imported.confidence,
     }
     return ImportedPoses(
         arrays, tuple(_notes(imported, hand, body)), imported.metadata, imported.mass, imported.friction
     )
-
-
-def _check_frame(path: Path, imported: ImportedGrasps, frame: Frame | None) -> None:
-    metadata = imported.metadata
-    if metadata and frame not in (None, metadata.frame):
-        reason = f"it says that its poses are told in the object's {metadata.frame} frame; leave --frame out"
-        raise UnreadableGrasps(path, reason)
 
 
 def _root_poses(
@@ -228,13 +226,6 @@ def _synergy_labels(path: Path, imported: ImportedGrasps, hand: SceneGripper) ->
             known = ", ".join(names) or "none"
             raise UnreadableGrasps(path, f"it names synergy '{name}'; the gripper '{hand.name}' has {known}")
     return np.array([labels[name] for name in imported.synergies.tolist()], dtype=np.int64)
-
-
-def _spreads(imported: ImportedGrasps, hand: SceneGripper) -> Floats:
-    """Return initial positions of free joints (n, k) [rad]; NaN: the open posture."""
-    unknown = np.full(len(imported), np.nan)
-    free = [imported.start_positions.get(joint.name, unknown) for joint in hand.free_joints]
-    return np.stack(free, axis=1) if free else np.zeros((len(imported), 0))
 
 
 def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> Iterator[str]:

@@ -183,21 +183,18 @@ def _columns_to_read(schema: Any) -> list[str]:
     fields = [field for field in schema if field.name in COLUMNS_READ or field.name.startswith(PREGRASP)]
     for field in fields:
         kind = field.type.value_type if field.name in (POSE_COLUMN, "synergy") else field.type
-        if not (kinds.is_string if field.name == "synergy" else _is_number)(kind):
+        is_number = kinds.is_integer(kind) or kinds.is_floating(kind)
+        if not (kinds.is_string(kind) if field.name == "synergy" else is_number):
             raise TypeError(f"its column '{field.name}' is of type {field.type}")
     return [field.name for field in fields]
-
-
-def _is_number(kind: Any) -> bool:
-    import pyarrow.types as kinds
-
-    return bool(kinds.is_integer(kind) or kinds.is_floating(kind))
 
 
 def _imported_grasps(path: Path, table: Any, metadata: GraspMetadata) -> ImportedGrasps:
     """Convert a table; its poses are those in `base_to_object`, always at the centre of mass."""
     simulated = table[POSE_COLUMN].combine_chunks()
     poses = np.asarray(simulated.flatten(), dtype=np.float64).reshape(len(table), 7)
+    words = table["synergy"].unify_dictionaries().combine_chunks()
+    names = to_words(path, "synergies", [*(name or "" for name in words.dictionary.to_pylist()), ""])
     joints = [name for name in table.column_names if name.startswith(PREGRASP)]
     return ImportedGrasps(
         names=np.asarray(table["number"]).astype(str),
@@ -205,7 +202,7 @@ def _imported_grasps(path: Path, table: Any, metadata: GraspMetadata) -> Importe
         start_positions={
             name.removeprefix(PREGRASP): np.asarray(table[name], dtype=np.float64) for name in joints
         },
-        synergies=_synergies(path, table["synergy"].unify_dictionaries().combine_chunks()),
+        synergies=names[np.asarray(words.indices.fill_null(len(names) - 1), dtype=np.int64)],
         confidence=np.asarray(table["confidence"], dtype=np.float64),
         scale=metadata.object_scale,
         frame=COM,
@@ -213,9 +210,3 @@ def _imported_grasps(path: Path, table: Any, metadata: GraspMetadata) -> Importe
         link=metadata.gripper_frame,
         metadata=metadata,
     )
-
-
-def _synergies(path: Path, column: Any) -> NDArray[np.str_]:
-    """Return the words (n,) of a column of words by their numbers; null is empty."""
-    names = to_words(path, "synergies", [*(name or "" for name in column.dictionary.to_pylist()), ""])
-    return names[np.asarray(column.indices.fill_null(len(names) - 1), dtype=np.int64)]

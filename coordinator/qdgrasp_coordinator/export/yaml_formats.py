@@ -105,12 +105,14 @@ def read_isaac(path: Path) -> ImportedGrasps:
     if not isinstance(grasps, dict):
         raise UnreadableGrasps(path, "its key 'grasps' must hold grasps by name")
     metadata = _metadata(path, tree)
+    stage_path = tree.get("gripper_frame_link", tree.get("gripper_frame"))  # its last part is the link
+    link = stage_path.rsplit("/", 1)[-1] if isinstance(stage_path, str) else None
     return ImportedGrasps(
         names=to_words(path, "names", grasps),
         poses=np.array([_pose(path, name, grasp) for name, grasp in grasps.items()]).reshape(-1, 7),
         frame=metadata.frame if metadata else None,
         gripper=metadata.gripper if metadata else None,
-        link=metadata.gripper_frame if metadata else _gripper_link(tree),
+        link=metadata.gripper_frame if metadata else link,
         start_positions=_joints(path, grasps, "pregrasp_cspace_position"),
         joints=tuple(_joints(path, grasps, "cspace_position")),
         synergies=_synergies(path, tree, len(grasps)),
@@ -138,12 +140,6 @@ def _synergies(path: Path, tree: dict[str, Tree], count: int) -> NDArray[np.str_
     if not isinstance(names, list) or len(names) != count or not all(isinstance(name, str) for name in names):
         raise UnreadableGrasps(path, f"the list 'synergy' of its block 'qdgrasp' must have {count} names")
     return to_words(path, "synergies", names)  # type: ignore[arg-type]  # each is a word
-
-
-def _gripper_link(tree: dict[str, Tree]) -> str | None:
-    """Return the link that has the poses, by either key; of a path in a stage the last part."""
-    name = tree.get("gripper_frame_link", tree.get("gripper_frame"))
-    return name.rsplit("/", 1)[-1] if isinstance(name, str) else None
 
 
 def _pose(path: Path, name: str, grasp: Tree) -> list[float]:

@@ -230,9 +230,17 @@ class SceneAnnotations:
         """Draw all that belongs to a frame."""
         self._draw_frame(canvas, shot.object, "object, centre of mass")
         self._draw_frame(canvas, shot.hand, f"hand base {self._base}")
-        self._draw_approach(canvas, shot.hand)
+        palm, far = self._project(transform_points(shot.hand, self._approach))
+        canvas.draw_arrow(palm, far, APPROACH_COLOUR, BOLD * self._size)
+        canvas.reserve_line(palm, far)
+        beside = LABEL_OFFSET * self._size
+        spots = [LabelSpot(far[0] + beside, far[1], "l"), LabelSpot(far[0] - beside, far[1], "r")]
+        canvas.add_label(Label("approach", self._size, APPROACH_COLOUR, spots))
         for touch in shot.touches:
-            self._draw_contact(canvas, touch, contact_colour(shot, touch))
+            point, hue = np.array(touch.point), contact_colour(shot, touch)
+            start, end = self._project(np.array([point, point + NORMAL_LENGTH * np.array(touch.normal)]))
+            canvas.draw_arrow(start, end, hue, THIN * self._size)
+            canvas.draw_disc(start, DOT * self._size, hue)
 
     def _draw_frame(self, canvas: Canvas, pose: Pose, name: str) -> None:
         """Draw the axes of a frame, and its name where they do not point."""
@@ -251,21 +259,6 @@ class SceneAnnotations:
         side: Anchor = "r" if away[0] < 0 else "l"
         spots = [LabelSpot(x, y + step * self._size, side) for step in LABEL_SHIFTS]
         canvas.add_label(Label(name, self._size, INK, spots))
-
-    def _draw_approach(self, canvas: Canvas, hand: Pose) -> None:
-        """Draw the approach axis from the palm."""
-        palm, far = self._project(transform_points(hand, self._approach))
-        canvas.draw_arrow(palm, far, APPROACH_COLOUR, BOLD * self._size)
-        canvas.reserve_line(palm, far)
-        beside = LABEL_OFFSET * self._size
-        spots = [LabelSpot(far[0] + beside, far[1], "l"), LabelSpot(far[0] - beside, far[1], "r")]
-        canvas.add_label(Label("approach", self._size, APPROACH_COLOUR, spots))
-
-    def _draw_contact(self, canvas: Canvas, touch: ContactPoint, hue: str) -> None:
-        point = np.array(touch.point)
-        start, end = self._project(np.array([point, point + NORMAL_LENGTH * np.array(touch.normal)]))
-        canvas.draw_arrow(start, end, hue, THIN * self._size)
-        canvas.draw_disc(start, DOT * self._size, hue)
 
     def _project(self, points: Floats) -> list[PixelPoint]:
         return [(column, row) for column, row in self._camera.pixels(points).tolist()]

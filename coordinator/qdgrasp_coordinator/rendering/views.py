@@ -219,15 +219,12 @@ def _sampled(mesh: Mesh, step: float) -> NDArray[np.float64]:
     corners = mesh.corners
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     counts = np.ceil(sides / step).astype(int)
-    return np.concatenate([_on_triangles(corners[counts == n], n) for n in np.unique(counts)])
-
-
-def _on_triangles(corners: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """Return the points of a grid of `n` steps a side on each triangle (t, 3, 3)."""
-    u, v = (share.ravel() / n for share in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
-    weights = np.stack([1 - u - v, u, v], axis=1)[u + v < 1 + 1e-6]
-    points: NDArray[np.float64] = np.einsum("wk,tkx->twx", weights, corners).reshape(-1, 3)
-    return points
+    parts = []
+    for n in np.unique(counts):  # a triangular grid of n steps a side, in barycentric coordinates
+        u, v = (share.ravel() / n for share in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+        weights = np.stack([1 - u - v, u, v], axis=1)[u + v < 1 + 1e-6]
+        parts.append(np.einsum("wk,tkx->twx", weights, corners[counts == n]).reshape(-1, 3))
+    return np.concatenate(parts)
 
 
 def _links(scene: Scene, chosen: Rows) -> Iterator[DrawnLink]:

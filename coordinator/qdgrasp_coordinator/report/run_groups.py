@@ -171,17 +171,16 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
     for run, setting in zip(runs, settings, strict=True):
         parts.setdefault(tuple(setting[key] for key in differing), []).append(run)
     for values in sorted(parts, key=lambda values: [(value is not None, value) for value in values]):
-        words = ", ".join(_setting_words(key, value) for key, value in zip(differing, values, strict=True))
+        words = ", ".join(
+            f"{key.replace('_', ' ')} {'default' if value is None else value}{SPEC_UNITS.get(key, '')}"
+            for key, value in zip(differing, values, strict=True)
+        )
         members = sorted(parts[values], key=lambda run: (run.spec.seed, run.path.name))
         yield RunGroup(scene, method, words, tuple(members))
 
 
 def _settings(spec: RunSpec) -> dict[str, Any]:
     return {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
-
-
-def _setting_words(key: str, value: object) -> str:
-    return f"{key.replace('_', ' ')} {'default' if value is None else value}{SPEC_UNITS.get(key, '')}"
 
 
 LEAST_OBJECTS = 2  # Objects, for a mean over objects

@@ -19,7 +19,6 @@ from qdgrasp_coordinator.report.figures import RunVoxels
 from qdgrasp_coordinator.report.run_groups import (
     PUBLISHED_COVERAGE,
     CurvePanel,
-    QuartileCurve,
     RunGroup,
     SceneName,
     quartile_curve,
@@ -125,18 +124,17 @@ def method_rows(groups: Iterable[RunGroup]) -> list[Row]:
 
 def curve_rows(panels: Iterable[CurvePanel]) -> list[Row]:
     """One row for each point of each curve, with the count as published beside it."""
-    return [row for panel in panels for one in panel.curves for row in _curve_points(one)]
-
-
-def _curve_points(one: QuartileCurve) -> Iterable[Row]:
-    published = quartile_curve(one.group, PUBLISHED_COVERAGE)
-    columns = (one.evaluations, one.runs, one.low, one.median, one.high, published.median)
-    for evaluations, runs, low, median, high, other in zip(*(c.tolist() for c in columns), strict=True):
-        yield _group_columns(one.group) | {
-            "measure": one.measure.name, "evaluations": evaluations, "runs": runs,
-            "q1": _or_none(low), "median": _or_none(median), "q3": _or_none(high),
-            "published_median": _or_none(other),
-        }  # fmt: skip
+    rows: list[Row] = []
+    for one in (curve for panel in panels for curve in panel.curves):
+        published = quartile_curve(one.group, PUBLISHED_COVERAGE)
+        columns = (one.evaluations, one.runs, one.low, one.median, one.high, published.median)
+        for evaluations, runs, low, median, high, other in zip(*(c.tolist() for c in columns), strict=True):
+            rows.append(_group_columns(one.group) | {
+                "measure": one.measure.name, "evaluations": evaluations, "runs": runs,
+                "q1": _or_none(low), "median": _or_none(median), "q3": _or_none(high),
+                "published_median": _or_none(other),
+            })  # fmt: skip
+    return rows
 
 
 def nu_rows(groups: Iterable[RunGroup]) -> list[Row]:
@@ -335,16 +333,13 @@ def _scenes(groups: Sequence[RunGroup]) -> Iterable[str]:
         scenes.setdefault(group.scene, []).append(group)
     for scene, here in scenes.items():
         yield f"### {scene.words}\n"
-        yield _target_words(here[0])
+        target = here[0].target
+        mark = ", by a stand-in for the scan" if target.stand_in else ""
+        if target.size:
+            yield f"S_G has {target.size:,} entries{mark}.\n"
+        else:
+            yield f"No coverage: {target.why}.\n"
         yield _methods(here)
-
-
-def _target_words(group: RunGroup) -> str:
-    target = group.target
-    if not target.size:
-        return f"No coverage: {target.why}.\n"
-    mark = ", by a stand-in for the scan" if target.stand_in else ""
-    return f"S_G has {target.size:,} entries{mark}.\n"
 
 
 def _methods(groups: Sequence[RunGroup]) -> str:
@@ -355,13 +350,13 @@ def _methods(groups: Sequence[RunGroup]) -> str:
         if figure.heading and any(row[name] is not None for row in rows)
     ]
     body = [
-        (group.name, _runs(group), COUNTED[group.overlaps], *(_quartiles(row, name) for name in shown))
+        (group.name, _run_counts(group), COUNTED[group.overlaps], *(_quartiles(row, name) for name in shown))
         for group, row in zip(groups, rows, strict=True)
     ]
     return markdown_table(("method", "n", "counted", *(FIGURES[name].heading for name in shown)), body)
 
 
-def _runs(group: RunGroup) -> str:
+def _run_counts(group: RunGroup) -> str:
     return f"{len(group.runs)}{f', {group.unfinished} unfinished' if group.unfinished else ''}"
 
 

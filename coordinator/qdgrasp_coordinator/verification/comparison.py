@@ -110,14 +110,12 @@ PLATFORM_SAME = "It was recorded on this very platform, on which it must be the 
 
 def compare_rows(recorded: Rows, now: Rows) -> dict[str, NDArray[np.bool_]]:
     """Flag for each result column the rows (n,) of one shape that differ in any bit."""
-    return {column.name: _bits_differ(recorded[column.name], now[column.name]) for column in RESULT}
-
-
-def _bits_differ(one: NDArray[np.generic], other: NDArray[np.generic]) -> NDArray[np.bool_]:
-    first, second = (
-        np.ascontiguousarray(values).reshape(len(values), -1).view(np.uint8) for values in (one, other)
-    )
-    differs: NDArray[np.bool_] = (first != second).any(axis=1)
+    differs = {}
+    for name in (column.name for column in RESULT):
+        first, second = (
+            np.ascontiguousarray(rows[name]).reshape(len(rows), -1).view(np.uint8) for rows in (recorded, now)
+        )
+        differs[name] = np.asarray((first != second).any(axis=1))
     return differs
 
 

@@ -53,12 +53,12 @@ class ReplayCaption:
         """Make the caption of a row whose replay differs in `differences` from what is recorded."""
         spec, outcome = shown.found_by.spec, shown.outcome
         made = f"protocol {spec.protocol}, method {spec.method}, seed {spec.seed}"
+        agreement = f"but replayed: {', '.join(differences)}" if differences else "replayed as recorded"
+        if outcome is Outcome.DEAD_END:
+            agreement = "not simulated in the run"
         return cls(
             _title(shown),
-            (
-                f"{REPLAY_MEANINGS[outcome]}{_contact_words(shown)}",
-                f"{made}; {_agreement_words(outcome, differences)}",
-            ),
+            (f"{REPLAY_MEANINGS[outcome]}{_contact_words(shown)}", f"{made}; {agreement}"),
             max((shot.step for shot in shots if shot.phase == "closing"), default=0),
         )
 
@@ -85,13 +85,6 @@ def _contact_words(shown: ReplayTarget) -> str:
     links = int(shown.row["contacts"])
     touching = f"{links} finger link{'s' if links != 1 else ''} in contact"
     return f"; {touching}, penetration {1000 * shown.row['penetration']:.2g} mm"
-
-
-def _agreement_words(outcome: Outcome, differences: Sequence[str]) -> str:
-    """State whether the replay gave what was recorded."""
-    if outcome is Outcome.DEAD_END:
-        return "not simulated in the run"
-    return f"but replayed: {', '.join(differences)}" if differences else "replayed as recorded"
 
 
 SMALLEST, LARGEST = PictureSize(320, 240), {".png": PictureSize(3840, 2160), ".gif": PictureSize(1280, 960)}

@@ -201,7 +201,11 @@ def replay_evaluation(
         (folder / SCENE).write_bytes(shown.bundle.payload)
         (folder / REQUEST).write_bytes(msgspec.json.encode(options.of(shown)))
         _run_process(folder, stop)
-        yield None if stop.is_set else _read(folder)
+        if stop.is_set:
+            yield None
+            return
+        answer = msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
+        yield ReplayedEvaluation(answer, np.load(folder / FRAMES, mmap_mode="r", allow_pickle=False))
 
 
 def local_platform() -> dict[str, str]:
@@ -224,8 +228,3 @@ def _run_process(folder: Path, stop: Stop) -> None:
                 raise InputError(words)
             if death.exit_code:
                 raise ReplayFailed(death, words)
-
-
-def _read(folder: Path) -> ReplayedEvaluation:
-    answer = msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
-    return ReplayedEvaluation(answer, np.load(folder / FRAMES, mmap_mode="r", allow_pickle=False))

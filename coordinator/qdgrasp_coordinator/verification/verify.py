@@ -212,16 +212,13 @@ def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[
     """
     with folder.journal() as journal:
         for found_by in provenances(folder, journal):
-            blocks = journal.kept(found_by.rows.start, found_by.rows.stop)
-            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *map(_row_kinds, blocks)])
+            parts = [
+                rows["outcome"] + TRIAL_KIND * (rows["trial"] > 0).astype(np.uint8)
+                for rows in journal.kept(found_by.rows.start, found_by.rows.stop)
+            ]
+            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *parts])
             places = np.flatnonzero(kinds % TRIAL_KIND != Outcome.ERROR)
             yield RowSelection(folder, found_by, places + found_by.rows.start), kinds[places]
-
-
-def _row_kinds(rows: Rows) -> NDArray[np.uint8]:
-    """Return the kind of each row, from its outcome and trial: (n,)."""
-    kinds: NDArray[np.uint8] = rows["outcome"] + np.where(rows["trial"] > 0, TRIAL_KIND, 0).astype(np.uint8)
-    return kinds
 
 
 def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
