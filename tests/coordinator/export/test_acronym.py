@@ -1,4 +1,4 @@
-"""HDF5 that tells no grasps, and how it is refused before it is read."""
+"""HDF5 files without usable grasps are refused, and the poses of our own fit the marker."""
 
 from pathlib import Path
 
@@ -164,7 +164,8 @@ def test_the_markers_fingers_are_in_the_fingers_of_the_open_hand(
 ) -> None:
     marker = placed(tmp_path / "cube.h5", MARKER) - np.array(scene.object.com_in_mesh)
     links = {
-        shape.link: points for shape, points in hand_geometry(scene.gripper).posed(grasp, np.full(2, OPENED))
+        shape.link: points
+        for shape, points in hand_geometry(scene.gripper).place_meshes(grasp, np.full(2, OPENED))
     }
     left, right = links["panda_leftfinger"], links["panda_rightfinger"]
     in_fingers = np.array([is_inside(marker, left), is_inside(marker, right)])
@@ -187,7 +188,8 @@ def test_a_marker_that_is_not_turned_is_beside_the_fingers(
     turned = MARKER[:, [1, 0, 2]]
     marker = placed(tmp_path / "cube.h5", turned) - np.array(scene.object.com_in_mesh)
     links = {
-        shape.link: points for shape, points in hand_geometry(scene.gripper).posed(grasp, np.full(2, OPENED))
+        shape.link: points
+        for shape, points in hand_geometry(scene.gripper).place_meshes(grasp, np.full(2, OPENED))
     }
     assert not is_inside(marker, links["panda_leftfinger"]).any()
     assert not is_inside(marker, links["panda_rightfinger"]).any()

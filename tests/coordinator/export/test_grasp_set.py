@@ -1,4 +1,4 @@
-"""Grasps as arrays and one by one; their selection: good enough, the best, far from each other."""
+"""Grasps as arrays and one by one, and their selection: good, best, far from each other."""
 
 from dataclasses import replace
 
