@@ -305,10 +305,10 @@ def _pair(pair: Pair, seconds: float) -> Iterator[Figure]:
     regimes, name = RegimeSearch(layout(scene, BENCH_PRIOR)), f"{pair.hand} on {pair.object}"
     with Evaluator(scene) as evaluator, closing(Published(theirs)) as naive:
         looking = TimedEvaluations(name, regimes, BENCH_PRIOR, evaluator)
-        while not regimes.has_looked:
+        while not regimes.has_parents:
             looking.skip(ROWS_AT_ONCE)
         for regime in (PoseRegime.ANYWHERE, PoseRegime.NEAR):
-            regimes.turn(regime, ROWS_AT_ONCE)
+            regimes.start_regime(regime, ROWS_AT_ONCE)
             lot = TimedEvaluations(
                 f"{name}, {regime.value}", regimes, BENCH_PRIOR, evaluator, naive, regimes.since
             )
@@ -398,12 +398,12 @@ def _serve(pipe: Connection, number: int) -> None:
     regimes = RegimeSearch(layout(scene, BENCH_PRIOR))
     with Evaluator(scene) as evaluator:
         lot = TimedEvaluations(str(number), regimes, BENCH_PRIOR, evaluator)
-        while not regimes.has_looked:
+        while not regimes.has_parents:
             lot.skip(ROWS_AT_ONCE)
         pipe.send(None)
         while (asked := pipe.recv()) is not None:
             regime, seconds = asked
-            regimes.turn(regime, ROWS_AT_ONCE)
+            regimes.start_regime(regime, ROWS_AT_ONCE)
             began, cpu, rows = time.perf_counter(), time.process_time(), 0
             while time.perf_counter() < began + seconds:
                 rows += lot.one(BATCHES[regime])

@@ -40,18 +40,20 @@ def draw(figures: Sequence[Figure]) -> FigureGrid:
     bars = {tuple(figure.name.split(", ", 1)): figure for figure in figures if figure.stages}
     pairs, regimes = (list(dict.fromkeys(name[i] for name in bars)) for i in (0, 1))
     size = (3.2, PITCH * len(pairs))
-    sheet = FigureGrid(1, len(regimes), size, legend_rows=1, over=0.3, aside=0.1, left=2.15, least=9.0)
+    grid = FigureGrid(
+        1, len(regimes), size, legend_rows=1, space_above=0.3, space_beside=0.1, left=2.15, least_width=9.0
+    )
     for column, regime in enumerate(regimes):
-        axes = sheet.axes(0, column)
+        axes = grid.axes(0, column)
         _dress(axes, regime, pairs if column == 0 else [""] * len(pairs))
         for row, pair in enumerate(pairs):
             if figure := bars.get((pair, regime)):
                 _bar(axes, row, figure)
-    sheet.title("Where does the time go", HOW)
+    grid.title("Where does the time go", HOW)
     present = {name.removesuffix(STEPS) for figure in bars.values() for name in figure.stages}
     handles = [Patch(color=COLOURS[stage], label=stage) for stage in ORDER if stage in present]
-    sheet.legend(handles, len(handles), length=1.0)
-    return sheet
+    grid.legend(handles, len(handles), length=1.0)
+    return grid
 
 
 def _dress(axes: Axes, regime: str, names: Sequence[str]) -> None:

@@ -135,7 +135,7 @@ class Evaluations:
         with ExitStack() as doors:
             logs = Path(doors.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
             stage = doors.enter_context(open_place(self._place, logs, SilentProgress()))
-            stage.hire_workers(self._place.hands)
+            stage.start_workers(self._place.hands)
             self.endpoint = stage.endpoint
             thread = threading.Thread(target=self._serve, args=(stage,), name="evaluations", daemon=True)
             thread.start()

@@ -168,8 +168,8 @@ def optimise(
             folder.job.supervise(),
             open_place(place, folder.job.logs, shown, folder.job.name, meeting) as stage,
         ):
-            stage.hire_recorder(folder.path)
-            stage.hire_workers(place.hands)
+            stage.start_recorder(folder.path)
+            stage.start_workers(place.hands)
             stage.coordinate(
                 SingleRunQueue(lambda: plan_with_search(searches.next(), spec, scene, bundle), evaluations),
                 lambda run: RecorderClient(stage.bus, stage.job, run.shape),

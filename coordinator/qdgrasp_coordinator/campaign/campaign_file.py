@@ -1,12 +1,12 @@
 """Reads a campaign: the runs that a TOML file or a folder of meshes asks for.
 
-Mesh files are read before anything is begun, so that all faults are told at once.
+Mesh files are read before anything is begun, so that all faults are named at once.
 """
 
 import csv
 import hashlib
 import itertools
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -49,8 +49,8 @@ NAME_KEYS = ("gripper", "object", "method", "seed")  # Keys that every run's nam
 CAMPAIGN_DEFAULTS = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 """Defaults of a campaign's runs.
 
-A second generation in flight keeps the workers of a single run busy; here other runs do, and the search
-is told all that it asked.
+A second generation in flight keeps the workers of a single run busy; here other runs do, and the search is
+told all that it asked.
 """
 LONGEST_NAME = 64
 CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
@@ -67,7 +67,7 @@ class Campaign:
 
     runs: Mapping[str, RunSpec]
     source: Mapping[str, Any]
-    """The file's content, with objects as they were taken."""
+    """The file's content, with objects as they were resolved."""
     scans: tuple[str, ...] = ()
     """Objects that were taken as their scans."""
     stand_ins: tuple[str, ...] = ()
@@ -97,19 +97,11 @@ class Campaign:
 def read_campaign(
     path: Path, *, here: bool = True, goals: Mapping[str, int | None] = MappingProxyType({})
 ) -> Campaign:
-    """The campaign in a TOML file.
+    """Read the campaign in a TOML file.
 
-    Parameters
-    ----------
-    here
-        Whether its grippers and objects must be on this machine.
-    goals
-        What ends runs, by keys of a spec, in place of what the file's defaults say; None: what they say.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it is not TOML, or it asks for a run that cannot be; the run is named.
+    `here` checks that its grippers and objects are on this machine; `goals` are values of a spec's keys that
+    end runs, in place of the file's defaults. Raises InputError if the file is missing, is not TOML, or asks
+    for a run that is not possible; the run is named.
     """
     source, asked = read_run_spec(path), {key: value for key, value in goals.items() if value is not None}
     if asked and isinstance(source.get("defaults", {}), dict):
@@ -123,47 +115,57 @@ def is_campaign(path: Path) -> bool:
 
 
 def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> Campaign:
-    """Return the campaign of a file's content; parameters and errors as of `read_campaign`."""
+    """Make the campaign of a file's content; parameters and errors as of `read_campaign`."""
     _check_tables(source, where)
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.taken(CAMPAIGN_DEFAULTS | source.get("defaults", {}))
-    crosses = [assets.taken(cross) for cross in source["cross"]]
+    defaults = assets.resolve(CAMPAIGN_DEFAULTS | source.get("defaults", {}))
+    crosses = [assets.resolve(cross) for cross in source["cross"]]
     objects = {absolute_asset(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
     for values, known in _cross_lists(defaults, crosses, objects, where):
-        _add_run(runs, values, known, where)
-    _check_known(objects, {spec.object for spec in runs.values()}, where)
+        spec = full_spec(values | known, where)
+        name = run_name(spec, values)
+        if runs.setdefault(name, spec) != spec:
+            raise InputError(
+                f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
+                "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
+            )
+    used = {spec.object for spec in runs.values()}
+    for name in objects:
+        if name not in used:
+            raise InputError(
+                f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
+                "[[cross]], in the same words."
+            )
     if here:
         _check_assets(runs.values())
     resolved = {"defaults": defaults, "cross": crosses} | ({"objects": objects} if objects else {})
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
 
 
-def run_name(spec: RunSpec, said: Mapping[str, Any]) -> str:
-    """Return the name of a run: gripper, object, method, seed, and whatever is not as usual.
+def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
+    """Name a run by gripper, object, method, seed, and whatever is not as usual.
 
-    Parameters
-    ----------
-    said
-        The values that the campaign gave for it; when it ends is no part of its name.
+    `values` are those that the campaign gave for it; when it ends is no part of its name.
     """
     parts = [Path(spec.gripper).stem, Path(spec.object).stem, spec.method, f"s{spec.seed}"]
     usual = full_spec(
         CAMPAIGN_DEFAULTS | {key: getattr(spec, key) for key in ("gripper", "object", "method")}
     )
-    others = sorted(said.keys() - {*NAME_KEYS, *STOP_KEYS})
-    told = [key for key in others if getattr(spec, key) != getattr(usual, key)]
-    parts += [f"{SHORT_KEYS.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in told]
-    return _shortened("-".join(parts))
+    others = sorted(values.keys() - {*NAME_KEYS, *STOP_KEYS})
+    unusual = [key for key in others if getattr(spec, key) != getattr(usual, key)]
+    parts += [f"{SHORT_KEYS.get(key, key)}{getattr(spec, key)}".replace(".", "_") for key in unusual]
+    name = "-".join(parts)
+    if len(name) <= LONGEST_NAME:
+        return job_name(name)
+    mark = hashlib.sha256(name.encode()).hexdigest()[:8]
+    return f"{job_name(name)[: LONGEST_NAME - 9]}-{mark}"
 
 
 class AssetNames:
     """Resolves grippers and objects of a campaign, and notes scans and stand-ins.
 
-    Parameters
-    ----------
-    prefer_scans
-        Whether an object is taken as its scan where that is found.
+    With `prefer_scans` an object is taken as its scan if that is found.
     """
 
     def __init__(self, *, prefer_scans: bool) -> None:
@@ -171,10 +173,14 @@ class AssetNames:
         self.scans: dict[str, None] = {}
         self.stand_ins: dict[str, None] = {}
 
-    def taken(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Values of a crossing with its files as absolute paths and its objects as they are taken."""
-        takers = {"gripper": absolute_asset, "object": self._object}
-        return {key: _map_values(value, takers.get(key, lambda one: one)) for key, value in values.items()}
+    def resolve(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return values of a crossing with absolute paths, and objects as they are taken."""
+        resolved = dict(values)
+        for key, act in (("gripper", absolute_asset), ("object", self._object)):
+            if key in values:
+                value = values[key]
+                resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)
+        return resolved
 
     def _object(self, name: Any) -> Any:
         scan = f"{ycb.PREFIX}{name}"
@@ -187,10 +193,6 @@ class AssetNames:
         return scan
 
 
-def _map_values(value: Any, act: Callable[[Any], Any]) -> Any:
-    return [act(one) for one in value] if isinstance(value, list) else act(value)
-
-
 def _check_assets(specs: Collection[RunSpec]) -> None:
     """Check that all grippers and objects are there, and that the methods are for such hands."""
     jawless = {name for name in {spec.gripper for spec in specs} if find_gripper(name).file.jaw is None}
@@ -199,16 +201,6 @@ def _check_assets(specs: Collection[RunSpec]) -> None:
     for spec in specs:
         if method(spec.method).prior == ANTIPODAL and spec.gripper in jawless:
             raise JawNeeded(ANTIPODAL, Path(spec.gripper).stem)
-
-
-def _check_known(objects: ObjectValues, used: Collection[str], where: str) -> None:
-    """Check that every object with known values is grasped by a run."""
-    for name in objects:
-        if name not in used:
-            raise InputError(
-                f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
-                "[[cross]], in the same words."
-            )
 
 
 def _check_tables(source: dict[str, Any], where: str) -> None:
@@ -236,7 +228,7 @@ def _check_tables(source: dict[str, Any], where: str) -> None:
 def _cross_lists(
     defaults: dict[str, Any], crosses: list[dict[str, Any]], objects: ObjectValues, where: str
 ) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Yield each run's values and those known of its object; first in `NAMED` change last."""
+    """Yield each run's values and those known of its object; `NAME_KEYS` change last first."""
     for cross in crosses:
         whole = defaults | cross
         if empty := [key for key, value in whole.items() if value == []]:
@@ -245,27 +237,9 @@ def _cross_lists(
         axes = [whole[key] if isinstance(whole[key], list) else [whole[key]] for key in order]
         for each in itertools.product(*axes):
             values = dict(zip(order, each, strict=True))
-            told = objects.get(values.get("object", ""), {})
-            known = {key: value for key, value in told.items() if key not in cross}
+            own = objects.get(values.get("object", ""), {})
+            known = {key: value for key, value in own.items() if key not in cross}
             yield {key: value for key, value in values.items() if key not in known}, known
-
-
-def _add_run(runs: dict[str, RunSpec], values: dict[str, Any], known: dict[str, Any], where: str) -> None:
-    spec = full_spec(values | known, where)
-    name = run_name(spec, values)
-    if runs.setdefault(name, spec) != spec:
-        raise InputError(
-            f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
-            "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
-        )
-
-
-def _shortened(name: str) -> str:
-    """Return a name in the allowed characters; a long one is cut, and marked by its digest."""
-    if len(name) <= LONGEST_NAME:
-        return job_name(name)
-    mark = hashlib.sha256(name.encode()).hexdigest()[:8]
-    return f"{job_name(name)[: LONGEST_NAME - 9]}-{mark}"
 
 
 MASS_TABLE = "masses.csv"  # The table of masses in a folder of meshes
@@ -277,51 +251,38 @@ NO_MASS = "it has no mass: say what it weighs with --mass or --density, or in " 
 
 @dataclass(frozen=True)
 class MassRule:
-    """Mass or density of objects that the table of masses does not name; one of them, or none."""
+    """Mass or density of objects that the table of masses does not name; one of them at most."""
 
     mass: float | None = None
     """Mass of each [kg]."""
     density: float | None = None
     """Density of each [kg/m3]."""
 
-    def of(self, draft: ObjectDraft) -> float | None:
-        """The mass of a mesh [kg]; None: it is not said."""
+    def mass_of(self, draft: ObjectDraft) -> float | None:
+        """Return the mass of a mesh [kg]; None: it is not given."""
         if self.density is None:
             return self.mass
         return float(f"{self.density * draft.mesh.volume:.{MASS_DIGITS}g}")
 
 
 def campaign_of_meshes(
-    folder: Path, weighing: MassRule, scale: float | None, said: Mapping[str, Any]
+    folder: Path, mass_rule: MassRule, scale: float | None, values: Mapping[str, Any]
 ) -> Campaign:
-    """The campaign of all meshes in a folder.
+    """Make the campaign of all meshes in a folder, at `scale` metres to a unit (None: 1).
 
-    Parameters
-    ----------
-    scale
-        Metres to a unit of each file; None: 1.
-    said
-        Values or lists of keys of a spec, crossed as in a campaign's file; None: not said.
-
-    Raises
-    ------
-    InputError
-        As in `mesh_values`, or a run is asked for that cannot be.
+    `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. Raises
+    InputError as `mesh_values`, or for a run that is not possible.
     """
-    known = mesh_values(folder, weighing, scale)
-    cross = {key: value for key, value in said.items() if value is not None} | {"object": list(known)}
+    known = mesh_values(folder, mass_rule, scale)
+    cross = {key: value for key, value in values.items() if value is not None} | {"object": list(known)}
     return make_campaign({"cross": [cross], "objects": known}, f"campaign of {folder}")
 
 
-def mesh_values(folder: Path, weighing: MassRule, scale: float | None) -> dict[str, dict[str, float]]:
+def mesh_values(folder: Path, mass_rule: MassRule, scale: float | None) -> dict[str, dict[str, float]]:
     """Return the keys `mass` and `scale` of a spec for every mesh in a folder, by its path.
 
-    Raises
-    ------
-    InputError
-        There is no such folder, no mesh in it, or its table of masses cannot be read.
-    UnusableMeshes
-        Of some of them no object can be made, or what they weigh is not known.
+    Raises InputError if there is no such folder, no mesh in it, or its table of masses cannot be read, and
+    UnusableMeshes for meshes that no object can be made of, or whose mass is not known.
     """
     files, masses = _mesh_files(folder), _read_masses(folder / MASS_TABLE)
     faults = _name_clashes(files.values())
@@ -329,7 +290,7 @@ def mesh_values(folder: Path, weighing: MassRule, scale: float | None) -> dict[s
     known: dict[str, dict[str, float]] = {}
     for name, file in files.items():
         draft = _read_mesh(file, scale)
-        mass = masses[name] if name in masses else weighing.of(draft)
+        mass = masses[name] if name in masses else mass_rule.mass_of(draft)
         why = _mesh_fault(draft, mass)
         if why or mass is None:
             faults.setdefault(name, why)
@@ -341,19 +302,14 @@ def mesh_values(folder: Path, weighing: MassRule, scale: float | None) -> dict[s
 
 
 def check_meshes(specs: Iterable[RunSpec]) -> None:
-    """Check that an object can be made of every mesh file that runs grasp.
-
-    Raises
-    ------
-    UnusableMeshes
-        Of some of them it cannot.
-    """
+    """Check that an object can be made of every mesh file in specs; raises UnusableMeshes."""
     named = STAND_INS.keys() | SCANS.keys()
     wanted = {(spec.object, spec.scale): spec.mass for spec in specs if spec.object not in named}
-    faults: dict[str, str] = {}
-    for (name, scale), mass in wanted.items():
-        if why := _mesh_fault(_read_mesh(named_path(name), scale), mass):
-            faults[name] = why
+    faults = {
+        name: fault
+        for (name, scale), mass in wanted.items()
+        if (fault := _mesh_fault(_read_mesh(named_path(name), scale), mass))
+    }
     if faults:
         raise UnusableMeshes(len({name for name, _ in wanted}), faults)
 
@@ -364,15 +320,13 @@ def _mesh_fault(draft: ObjectDraft, mass: float | None) -> str:
         return "; and ".join(draft.faults)
     if mass is None:
         return NO_MASS
-    return (
-        ""
-        if 0 < mass <= GREATEST_MASS
-        else f"its mass must be more than 0 and at most {GREATEST_MASS} kg, got {mass:g}"
-    )
+    if not 0 < mass <= GREATEST_MASS:
+        return f"its mass must be more than 0 and at most {GREATEST_MASS} kg, got {mass:g}"
+    return ""
 
 
 def _mesh_files(folder: Path) -> dict[str, Path]:
-    """The meshes in a folder by their names."""
+    """List the meshes in a folder by their names."""
     if not folder.is_dir():
         raise InputError(f"There is no folder of meshes at '{folder}'.")
     kinds = {*READABLE_FORMATS, *FORMAT_PACKAGES}
@@ -385,7 +339,7 @@ def _mesh_files(folder: Path) -> dict[str, Path]:
 
 
 def _read_masses(table: Path) -> dict[str, float]:
-    """The masses [kg] that a table names, by file; none where there is no table."""
+    """Read the masses [kg] in a table by file; empty if there is no table."""
     if not table.is_file():
         return {}
     try:
@@ -406,7 +360,7 @@ def _refuse_table(table: Path, why: str = "") -> dict[str, float]:
 
 
 def _name_clashes(files: Iterable[Path]) -> dict[str, str]:
-    """Meshes whose runs would be called as those of another one."""
+    """Find meshes whose runs would have the names of those of another one."""
     first, faults = dict[str, str](), dict[str, str]()
     for file in files:
         other = first.setdefault(job_name(f"a-{file.stem}"), file.name)
@@ -416,7 +370,7 @@ def _name_clashes(files: Iterable[Path]) -> dict[str, str]:
 
 
 def _read_mesh(file: Path, scale: float | None) -> ObjectDraft:
-    """A mesh file as an object would be made of it; what cannot be read at all is a fault too."""
+    """Read a mesh file for an object; a file that cannot be read is a fault too."""
     try:
         return read_draft(file, scale)
     except AssetError as error:

@@ -1,11 +1,11 @@
 """The folder of a campaign: begun, or gone on with, and a queue of its unfinished runs.
 
-The end of a run that has begun may be put off, not taken back below what is recorded. What a finished run
-has found is cached beside its journal (`found.json`), so that a large campaign need not read it again.
+The end of a run that has begun may be put off, not taken back below what is recorded. The totals of a
+finished run are cached beside its journal (`found.json`), so that a large campaign need not read it again.
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -32,10 +32,7 @@ from qdgrasp_protocol.text import counted
 def extend_run(folder: RunFolder, **goals: int) -> None:
     """Give a run a new budget, or other goals: any of the keys `spec.GOALS`.
 
-    Raises
-    ------
-    ImpossibleValue
-        A value is not allowed, or the journal goes on behind it.
+    Raises ImpossibleValue if one is not allowed, or the journal goes on behind it.
     """
     spec = run_spec(to_values(folder.spec) | goals, "resume")
     count_within_budget(folder, spec, "--evaluations")
@@ -43,13 +40,7 @@ def extend_run(folder: RunFolder, **goals: int) -> None:
 
 
 def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluations") -> RunCounter:
-    """Return the tally of a run's journal, which must begin a journal of `spec`.
-
-    Raises
-    ------
-    ImpossibleValue
-        It does not.
-    """
+    """Count a run's journal; raises ImpossibleValue unless it begins a journal of `spec`."""
     check_spec(spec)
     with folder.journal() as journal:
         found = count_rows(spec, journal.blocks())
@@ -58,6 +49,8 @@ def count_within_budget(folder: RunFolder, spec: RunSpec, where: str = "evaluati
 
 
 TOTALS_FILE = "found.json"
+SCENE_KEYS = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
+"""The keys of a spec that its scene depends on."""
 
 
 class CachedTotals(Struct, frozen=True):
@@ -70,21 +63,19 @@ class CachedTotals(Struct, frozen=True):
 def read_cached_totals(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
     """Return the stored totals of a run that was finished under `spec`; None: not known."""
     file = folder.path / TOTALS_FILE
-    if not file.is_file():
-        return None
-    with suppress(FolderError, msgspec.MsgspecError):
-        known = msgspec.json.decode(atomic_files.read(file), type=CachedTotals)
-        if known.mark == _journal_mark(folder, spec):
-            return known.totals
+    if file.is_file():
+        with suppress(FolderError, msgspec.MsgspecError):
+            known = msgspec.json.decode(atomic_files.read(file), type=CachedTotals)
+            if known.mark == _journal_mark(folder, spec):
+                return known.totals
     return None
 
 
-def write_cached_totals(folder: RunFolder, spec: RunSpec, found: RunTotals) -> None:
+def _write_cached_totals(folder: RunFolder, spec: RunSpec, totals: RunTotals) -> None:
     """Store the totals of a finished run; a disk that cannot take them is no error."""
     with suppress(FolderError):
-        atomic_files.replace(
-            folder.path / TOTALS_FILE, msgspec.json.encode(CachedTotals(_journal_mark(folder, spec), found))
-        )
+        cached = CachedTotals(_journal_mark(folder, spec), totals)
+        atomic_files.replace(folder.path / TOTALS_FILE, msgspec.json.encode(cached))
 
 
 def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
@@ -94,49 +85,70 @@ def _journal_mark(folder: RunFolder, spec: RunSpec) -> str:
         return " ".join([journal.mark, *ends, version("qdgrasp"), *TOTAL_NAMES])
 
 
-SCENE_KEYS = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
-"""The keys of a spec that its scene depends on."""
+def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
+    """Return the totals of the run that `spec` asks for, where its folder holds all of it.
+
+    None: it is not finished, or its journal cannot be read; the recorder that opens it says why. Raises
+    FolderError or EndsTooSoon where the folder holds a run of another spec, more evaluations than the budget,
+    or successes alone of fewer.
+    """
+    if not RunFolder.is_run(path):
+        return None
+    folder = RunFolder.open(path)
+    if differ := differences(folder.spec, spec):
+        raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
+    try:
+        with folder.journal() as journal:
+            is_reduced = bool(journal.sources)
+        if not is_reduced:
+            if known := read_cached_totals(folder, spec):
+                return known
+            found = count_within_budget(folder, spec)
+            if found.finished:
+                _write_cached_totals(folder, spec, found.totals)
+            return found.totals if found.finished else None
+    except ImpossibleValue as reason:
+        raise EndsTooSoon(folder.path, reason) from None
+    except FolderError:
+        return None
+    if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
+        raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
+    return run_summary(folder).totals
 
 
 class CampaignRunQueue:
-    """The programme of a campaign: its unfinished runs, each made when its turn comes.
+    """The unfinished runs of a campaign, each made when it is next.
 
-    Parameters
-    ----------
-    folder
-        The campaign's; None: nothing is known of what was recorded, and no folders are made.
-    runs
-        The specs by name.
-
-    Raises
-    ------
-    FolderError, EndsTooSoon
-        A run's folder holds another run, or more evaluations than its budget.
+    Without a `folder` nothing is known of recorded runs, and no folders are made; `runs` are specs by name.
+    Raises FolderError or EndsTooSoon if a run's folder holds another run, or more evaluations than its
+    budget.
     """
 
     def __init__(self, folder: JobFolder | None, runs: Mapping[str, RunSpec]) -> None:
         self._folder = folder
         self._runs = runs
-        budgets = {name: spec.evaluations for name, spec in runs.items()}
-        self.extent = JobExtent.of(budgets).with_done(dict(self._done()))
+        finished = {
+            name: found
+            for name, spec in runs.items()
+            if folder and (found := finished_totals(folder.run_path(name), spec)) is not None
+        }
+        self.extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(
+            finished
+        )
         self._left = deque(self.extent.budgets)
         self._scene: tuple[RunSpec, tuple[Scene, Bundle]] | None = None
 
     def next(self) -> RunPlan | None:
-        """The next unfinished run, with a folder of its own.
+        """Return the next unfinished run, with a folder of its own.
 
-        Raises
-        ------
-        RunFailed
-            Its scene cannot be built, or its folder not be written.
-        DiskFull
-            There is no room for its folder; it stays the next.
+        Raises RunFailed if its scene cannot be built or its folder not be written, and DiskFull if there is
+        no room for the folder; it then stays the next.
         """
         if not self._left:
             return None
         name = self._left.popleft()
         try:
-            return self._make(name, self._runs[name])
+            return self._prepare(name, self._runs[name])
         except DiskFull:
             self.put_back(name)
             raise
@@ -147,92 +159,31 @@ class CampaignRunQueue:
         """Have a run made again, before any other."""
         self._left.appendleft(run)
 
-    def _done(self) -> Iterator[tuple[str, RunTotals]]:
-        """The runs that are finished, with what they found."""
-        for name, spec in self._runs.items():
-            found = finished_totals(self._folder.run_path(name), spec) if self._folder else None
-            if found is not None:
-                yield name, found
-
-    def _make(self, name: str, spec: RunSpec) -> RunPlan:
+    def _prepare(self, name: str, spec: RunSpec) -> RunPlan:
         path = self._folder.run_path(name) if self._folder else None
         if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
             folder = RunFolder(path)
             return run_plan.plan_run(spec, folder.scene(), folder.bundle(), name)
-        scene, bundle = self._built(spec)
+        scene, bundle = self._scene_of(spec)
         if self._folder is not None and path is not None and not RunFolder.is_run(path):
             RunFolder.add(self._folder, name, spec, bundle)
         return run_plan.plan_run(spec, scene, bundle, name)
 
-    def _built(self, spec: RunSpec) -> tuple[Scene, Bundle]:
-        """The scene of a spec; neighbours in the order often share theirs."""
-        if self._scene is None or not _share_scene(self._scene[0], spec):
-            self._scene = spec, run_plan.make_bundle(spec)
-        return self._scene[1]
-
-
-def finished_totals(path: Path, spec: RunSpec) -> RunTotals | None:
-    """Return the totals of the run that `spec` asks for, where its folder holds all of it.
-
-    None: it is not finished, or its journal cannot be read; why not is told when the recorder opens it.
-
-    Raises
-    ------
-    FolderError, EndsTooSoon
-        It holds a run of another spec, more evaluations than the budget, or successes alone of fewer.
-    """
-    if not RunFolder.is_run(path):
-        return None
-    folder = RunFolder.open(path)
-    differ = differences(folder.spec, spec)
-    if differ:
-        raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
-    try:
-        with folder.journal() as journal:
-            is_reduced = bool(journal.sources)
-        if not is_reduced:
-            return read_cached_totals(folder, spec) or _count_finished(folder, spec)
-    except FolderError:
-        return None
-    if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
-        raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    return run_summary(folder).totals
-
-
-def _count_finished(folder: RunFolder, spec: RunSpec) -> RunTotals | None:
-    """Count the rows of a run and store their totals; None while it is not finished."""
-    try:
-        found = count_within_budget(folder, spec)
-    except ImpossibleValue as reason:
-        raise EndsTooSoon(folder.path, reason) from None
-    if not found.finished:
-        return None
-    write_cached_totals(folder, spec, found.totals)
-    return found.totals
-
-
-def _share_scene(one: RunSpec, other: RunSpec) -> bool:
-    return all(getattr(one, key) == getattr(other, key) for key in SCENE_KEYS)
+    def _scene_of(self, spec: RunSpec) -> tuple[Scene, Bundle]:
+        """Build the scene of a spec, unless it is that of the run before."""
+        known = self._scene
+        if known is None or any(getattr(known[0], key) != getattr(spec, key) for key in SCENE_KEYS):
+            self._scene = known = spec, run_plan.make_bundle(spec)
+        return known[1]
 
 
 def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:
     """Begin the campaign that is asked for at `path`, or check that it can go on there.
 
-    Parameters
-    ----------
-    job
-        The job's name for a new folder; None: the folder's name, reduced to the allowed characters.
-
-    Returns
-    -------
-    extent
-        How much there is to do, and what of it is done.
-
-    Raises
-    ------
-    FolderError, EndsTooSoon
-        The folder holds a single run, another job, other files, runs that are not asked for any more, or one
-        that is asked for with another spec or with less than it has; or it is in use. It is left as it was.
+    `job` is the job's name for a new folder; None: the folder's name, reduced to the allowed characters.
+    Raises FolderError or EndsTooSoon, and leaves the folder as it was, if it holds a single run, another job,
+    other files, runs that are not asked for any more, or one that is asked for with another spec or with less
+    than it has; or if it is in use.
     """
     if not JobFolder.is_job(path):
         OutFolder(path).check()
@@ -246,18 +197,14 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
     folder.check_not_in_use()
     _check_kept(folder, asked)
     extent = CampaignRunQueue(folder, asked.runs).extent
-    _write_campaign(folder, asked)
+    file = folder.path / CAMPAIGN
+    if file.read_bytes() != asked.toml.encode():
+        atomic_files.replace(file, asked.toml.encode())
     return extent
 
 
 def open_campaign(path: Path) -> JobFolder:
-    """The folder of a campaign that was begun.
-
-    Raises
-    ------
-    FolderError
-        There is none at `path`.
-    """
+    """Open the folder of a campaign that was begun; raises FolderError if it holds none."""
     folder = JobFolder.open(path)
     if not folder.is_campaign:
         raise FolderError(f"{path} holds a single run, no campaign; name the folder of a campaign.")
@@ -274,9 +221,3 @@ def _check_kept(folder: JobFolder, asked: Campaign) -> None:
             f"'{lost[0]}'; leave them in the file, or name another folder with --out. "
             f"`qdgrasp campaign {folder.path}` goes on with the campaign as it was."
         )
-
-
-def _write_campaign(folder: JobFolder, asked: Campaign) -> None:
-    file = folder.path / CAMPAIGN
-    if file.read_bytes() != asked.toml.encode():
-        atomic_files.replace(file, asked.toml.encode())

@@ -2,7 +2,7 @@
 
 import sqlite3
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import reduce
@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from qdgrasp_coordinator.campaign.campaign_folder import SCENE_KEYS
 from qdgrasp_coordinator.campaign.ranking import is_reranking
 from qdgrasp_coordinator.campaign.reduced_journal import (
     MergePart,
@@ -31,7 +32,6 @@ from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
 from qdgrasp_coordinator.storage.journal_schema import (
     FILE,
     JournalIdentity,
-    JournalSource,
     explaining_read_errors,
 )
 from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors
@@ -63,18 +63,18 @@ class MergeResult:
 def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
     """Join the successes of runs of one scene in a new folder, that appears whole or not at all.
 
-    Raises
-    ------
-    FolderError, DiskFull
-        A folder cannot be read, or `out` holds something or cannot be written.
-    InputError
-        The runs are of different scenes, or one under a protocol with trials is not finished.
+    Raises FolderError or DiskFull if a folder cannot be read, or `out` holds something or cannot be written,
+    and InputError if the runs are of different scenes, or one under a protocol with trials is not finished.
     """
     RunFolder.check_free(out)
     parts, repeats = merge_parts(folders)
     for part in parts:
         _check_same_scene(parts[0], part)
-        _check_finished(part)
+        if trial_count(part.source.asked.protocol) and not part.source.summary["complete"]:
+            raise InputError(
+                f"{part.folder.path} is not finished, so that successes lack their trials: "
+                f"`qdgrasp resume {part.folder.path}` goes on with it."
+            )
     shape, found = common_shape([part.folder for part in parts]), _merged_summary(parts)
     identity = JournalIdentity(RUN, to_toml(_merged_spec(parts)), parts[0].source.scene, shape)
     atomic_files.create_folder(
@@ -85,30 +85,20 @@ def merge_runs(folders: Sequence[RunFolder], out: Path) -> MergeResult:
             made / FILE, identity, found, ((part.source, part.rows(shape)) for part in parts)
         ),
     )
-    return MergeResult(found, tuple(one.words for one in repeats))
+    return MergeResult(found, repeats)
 
 
 def _check_same_scene(one: MergePart, other: MergePart) -> None:
     if one.source.scene == other.source.scene:
         return
     specs = one.source.asked, other.source.asked
-    keys = ("gripper", "object", "mass", "scale", "friction", "protocol", "surface_seed")
-    differ = [f"{key} ({getattr(specs[0], key)} and {getattr(specs[1], key)})" for key in keys
-              if getattr(specs[0], key) != getattr(specs[1], key)]  # fmt: skip
+    values = [(key, *(getattr(spec, key) for spec in specs)) for key in SCENE_KEYS]
+    differ = [f"{key} ({mine} and {its})" for key, mine, its in values if mine != its]
     why = ", ".join(differ) or "the scene's files or the version of qdgrasp that read them"
     raise InputError(
         f"{one.folder.path} and {other.folder.path} are of different scenes, which are not merged: they "
         f"differ in {why}."
     )
-
-
-def _check_finished(part: MergePart) -> None:
-    """Check that every success has its trials, where the protocol has them."""
-    if trial_count(part.source.asked.protocol) and not part.source.summary["complete"]:
-        raise InputError(
-            f"{part.folder.path} is not finished, so that successes lack their trials: "
-            f"`qdgrasp resume {part.folder.path}` goes on with it."
-        )
 
 
 def _merged_spec(parts: Sequence[MergePart]) -> RunSpec:
@@ -120,14 +110,16 @@ def _merged_spec(parts: Sequence[MergePart]) -> RunSpec:
 
 def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
     """Return the summary of all runs together."""
-    first, told = parts[0].source, [part.source.summary for part in parts]
-    values: dict[str, Any] = dict(first.summary)
-    values |= {name: sum(one[name] for one in told) for name in SUMMED_FIELDS}
-    values |= {name: _names_in_words(one[name] for one in told) for name in ("method", "overlaps_mode")}
+    summaries = [part.source.summary for part in parts]
+    platforms = [part.source.platform.items() for part in parts]
+    values: dict[str, Any] = dict(summaries[0])
+    values |= {name: sum(one[name] for one in summaries) for name in SUMMED_FIELDS}
+    for name in ("method", "overlaps_mode"):
+        values[name] = ", ".join(sorted({one[name] for one in summaries}))
     values |= {
-        "complete": all(one["complete"] for one in told),
+        "complete": all(one["complete"] for one in summaries),
         "ended": f"merged from {counted(len(parts), 'run')}",
-        "platform": reduce(_common_platform, (part.source.platform for part in parts)),
+        "platform": dict(item for item in platforms[0] if all(item in other for other in platforms)),
         "reduced": "failures: only the successes of the merged runs are kept",
         "sources": [part.source.words for part in parts],
     }
@@ -135,7 +127,7 @@ def _merged_summary(parts: Sequence[MergePart]) -> RunSummary:
 
 
 def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[str, Any]:
-    """The figures that depend on which cells and niches several runs share."""
+    """Count the figures that depend on the cells and niches that several runs share."""
     scene = parts[0].folder.scene()
     metrics, reached = SuccessMetrics(trial_count(parts[0].source.asked.protocol)), set[int]()
     archives = []
@@ -157,32 +149,18 @@ def _shared_figures(parts: Sequence[MergePart], sums: dict[str, Any]) -> dict[st
     }
 
 
-def _names_in_words(names: Iterator[str]) -> str:
-    return ", ".join(sorted(set(names)))
-
-
-def _common_platform(one: dict[str, str], other: dict[str, str]) -> dict[str, str]:
-    """Return the entries in which two platforms agree."""
-    return {name: value for name, value in one.items() if other.get(name) == value}
-
-
 PARTIAL_FILE = "run.sqlite.part"
-SETTLE_TIMEOUT = 1.0  # seconds; whoever only looks at a run has its journal open for an instant
+SETTLE_TIMEOUT = 1.0  # seconds; a reader of a run has its journal open for an instant
 SETTLE_INTERVAL = 0.05  # seconds between two tries
 PRIMARY_CODE = 0xFF  # The bits of SQLite's error codes that say what went wrong; those above say more of how
 
 
 def prune_run(folder: RunFolder) -> int:
-    """Drop the failures of a finished run; gives the bytes that this freed.
+    """Drop the failures of a finished run; returns the bytes that this freed.
 
-    The journal is replaced as a whole, or left as it was; one that is being read is waited for a little, and
-    whoever begins to read it after that reads the old one.
-
-    Raises
-    ------
-    FolderError, DiskFull
-        The run is not finished, was pruned before, is in use or being read, ranks poses by all of their
-        trials, or its folder cannot be written.
+    The journal is replaced as a whole, or left as it was; readers are waited for a little, and those that
+    begin after that read the old one. Raises FolderError or DiskFull if the run is not finished, was pruned
+    before, is in use or being read, ranks poses by all of their trials, or its folder cannot be written.
     """
     with folder.job.supervise(), folder.job.lock():
         return _prune_locked(folder)
@@ -200,7 +178,7 @@ class PruneResult:
 
 
 def prune_campaign(job: JobFolder) -> PruneResult:
-    """Drop the failures of a campaign's finished runs; others stay; raises as `prune` does."""
+    """Drop the failures of a campaign's finished runs; raises as `prune_run`."""
     freed, pruned = 0, 0
     with job.supervise(), job.lock():
         folders = [RunFolder(path) for path in job.run_paths if RunFolder.is_run(path)]
@@ -214,12 +192,15 @@ def prune_campaign(job: JobFolder) -> PruneResult:
 
 
 def _prune_locked(folder: RunFolder) -> int:
-    """Prune a run whose job's locks are held, as `prune` does."""
+    """Prune a run whose job's locks are held, as `prune_run` does."""
     with folder.journal() as journal:
         journal.check_whole()
         shape, run = journal.shape, journal.run
     (source,) = journal_sources(folder)
-    _check_prunable(folder, source)
+    if not source.summary["complete"]:
+        raise FolderError(f"{folder.path} is not finished: what is pruned cannot be gone on with.")
+    if is_reranking(folder):
+        raise FolderError(f"{folder.path} ranks poses, for which every row is needed.")
     identity = JournalIdentity(run, source.spec, source.scene, shape)
     found = msgspec.structs.replace(
         msgspec.convert(source.summary, RunSummary), reduced="failures: only successes are kept"
@@ -237,20 +218,10 @@ def _prune_locked(folder: RunFolder) -> int:
     return before - file.stat().st_size
 
 
-def _check_prunable(folder: RunFolder, source: JournalSource) -> None:
-    if not source.summary["complete"]:
-        raise FolderError(f"{folder.path} is not finished: what is pruned cannot be gone on with.")
-    if is_reranking(folder):
-        raise FolderError(f"{folder.path} ranks poses, for which every row is needed.")
-
-
 def _checkpoint_journal(file: Path) -> None:
     """Move all of a journal into its one file, so that another may take its place.
 
-    Raises
-    ------
-    FolderError
-        It is being read, and that does not end soon.
+    Raises FolderError if it is being read, and that does not end soon.
     """
     deadline = time.monotonic() + SETTLE_TIMEOUT
     while not _is_checkpointed(file):
@@ -258,11 +229,11 @@ def _checkpoint_journal(file: Path) -> None:
             raise FolderError(
                 f"{file} is being read by another process; nothing was changed: prune it when that is done."
             )
-        time.sleep(SETTLE_INTERVAL)  # SQLite waits for nobody here
+        time.sleep(SETTLE_INTERVAL)  # SQLite itself does not wait here
 
 
 def _is_checkpointed(file: Path) -> bool:
-    """Settle the file; return False where another process has it open."""
+    """Checkpoint the file; return False where another process has it open."""
     with (
         explaining_read_errors(file),
         explaining_write_errors(file.parent),

@@ -2,7 +2,6 @@
 
 import csv
 import io
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -13,7 +12,6 @@ from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.scores import best_first, eta, scored_successes, trial_sums
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage import atomic_files
-from qdgrasp_coordinator.storage.journal_schema import JournalSource
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
@@ -33,7 +31,7 @@ class SourceRow(Struct, frozen=True):
     generation: int
     index: int
     fitness: float
-    """Fitness that the search was told of it there."""
+    """Fitness that the search got there."""
 
 
 class RankingSource(Struct, frozen=True):
@@ -46,36 +44,26 @@ class RankingSource(Struct, frozen=True):
 
 
 def read_run_grasps(folder: RunFolder) -> Rows:
-    """The grasps of a run (n,) in journal order, with the fitness that its search heard of them.
+    """Read the grasps of a run (n,) in journal order, with the fitness that its search got.
 
     A grasp survived a nominal shake; under a protocol with trials all of its own are recorded.
     """
     with folder.journal() as journal:
-        _check_one_prior(journal.sources, folder.path)
+        priors = sorted({method(source.asked.method).prior for source in journal.sources})
+        if len(priors) > 1:
+            raise InputError(
+                f"{folder.path} is merged from runs with different priors, {' and '.join(priors)}, whose "
+                "genomes mean different things; merge runs of one prior for this."
+            )
         found = [journal.shape.empty(0), *scored_successes(journal.kept(), trial_count(folder.spec.protocol))]
     rows = np.concatenate(found)
     return rows[rows["outcome"] >= Outcome.SHAKEN]
 
 
-def _check_one_prior(sources: tuple[JournalSource, ...], where: Path) -> None:
-    """Check that the genomes of all that was merged mean the same."""
-    priors = sorted({method(source.asked.method).prior for source in sources})
-    if len(priors) > 1:
-        raise InputError(
-            f"{where} is merged from runs with different priors, {' and '.join(priors)}, whose genomes mean "
-            "different things; merge runs of one prior for this."
-        )
-
-
 def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
-    """The best row of each kind, and of these the `most` best, best first.
+    """Return the best row of each kind, and of these the `most` best, best first.
 
-    Parameters
-    ----------
-    rows
-        In any order; which is better is said in `order.best_first`.
-    kinds
-        (n,): a number for each row, equal for those of a kind; None: their 1 cm cells.
+    `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `scores.best_first` orders rows.
     """
     kinds = cell_keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
     order = best_first(rows)
@@ -84,13 +72,7 @@ def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None)
 
 
 def write_source(folder: RunFolder, source: RunFolder, rows: Rows) -> None:
-    """Write down from which rows of a run the poses of another were taken.
-
-    Raises
-    ------
-    FolderError
-        It cannot be written.
-    """
+    """Note the rows of a run that the poses of another were taken from."""
     places = tuple(SourceRow(*values) for values in rows[["generation", "index", "fitness"]].tolist())
     noted = RankingSource(str(source.path.absolute()), places)
     atomic_files.replace(folder.path / SOURCE, msgspec.json.encode(noted))
@@ -104,18 +86,14 @@ def is_reranking(folder: RunFolder) -> bool:
 def write_ranking(folder: RunFolder) -> str:
     """Rank the poses of a complete run that scores grasps again, and write `ranking.csv`.
 
-    Returns
-    -------
-    words
-        The best of them as a table.
-
-    Raises
-    ------
-    FolderError
-        A file cannot be read or written.
+    Returns the best of them as a table. Raises FolderError if a file cannot be read or written.
     """
     table = rank_poses(folder)
-    atomic_files.replace(folder.path / RANKING, _as_csv(table))
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(RANKING_COLUMNS)
+    writer.writerows([f"{value:.9g}" for value in line] for line in table)
+    atomic_files.replace(folder.path / RANKING, file.getvalue().encode())
     shown = [
         RANKING_COLUMNS[:9],
         *(tuple(f"{value:g}" for value in line[:9]) for line in table[:RANKS_SHOWN]),
@@ -126,11 +104,14 @@ def write_ranking(folder: RunFolder) -> str:
 
 
 def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
-    """Return a run's poses by eta, best first, ties in their order; each as in `COLUMNS`.
+    """Rank a run's poses by eta, best first, ties in their order; each as in `RANKING_COLUMNS`.
 
-    What is no success any more has eta 0: it has no trials.
+    A pose that is no success any more has eta 0: it has no trials.
     """
-    source = _read_source(folder.path)
+    try:
+        source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)
+    except msgspec.MsgspecError as error:
+        raise atomic_files.damaged_file(folder.path / SOURCE, str(error)) from None
     known = trial_count(folder.spec.protocol)
     with folder.journal() as journal:
         every = journal.rows(0, journal.count)
@@ -148,18 +129,3 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
         )
         for rank, place in enumerate(order.tolist(), start=1)
     ]
-
-
-def _read_source(path: Path) -> RankingSource:
-    try:
-        return msgspec.json.decode(atomic_files.read(path / SOURCE), type=RankingSource)
-    except msgspec.MsgspecError as error:
-        raise atomic_files.damaged_file(path / SOURCE, str(error)) from None
-
-
-def _as_csv(table: list[tuple[float, ...]]) -> bytes:
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(RANKING_COLUMNS)
-    writer.writerows([f"{value:.9g}" for value in line] for line in table)
-    return file.getvalue().encode()

@@ -7,7 +7,6 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 
 import msgspec
@@ -31,12 +30,9 @@ def kept_rows(rows: Rows) -> Rows:
 
 
 def journal_sources(folder: RunFolder) -> tuple[JournalSource, ...]:
-    """The runs that a folder holds rows of: those it was reduced from, or itself.
+    """Return the runs that a folder holds rows of: those it was reduced from, or itself.
 
-    Raises
-    ------
-    FolderError
-        Its journal cannot be read, or grows meanwhile.
+    Raises FolderError if its journal cannot be read, or grows meanwhile.
     """
     with folder.journal() as journal:
         if journal.sources:
@@ -79,7 +75,7 @@ def pad_rows(rows: Rows, shape: RowShape) -> Rows:
 
 
 def trim_rows(rows: Rows, shape: RowShape) -> Rows:
-    """Return `padded` rows in their own shape again."""
+    """Return rows of `pad_rows` in their own shape again."""
     if rows.dtype == shape.dtype:
         return rows
     narrower = shape.empty(len(rows))
@@ -95,19 +91,10 @@ def write_reduced_journal(
     found: RunSummary,
     parts: Iterable[tuple[JournalSource, Iterable[Rows]]],
 ) -> None:
-    """Write a reduced journal into a new file.
+    """Write a reduced journal, with its summary `found`, into a new file.
 
-    Parameters
-    ----------
-    found
-        What is told of it.
-    parts
-        The sources in their order, each with its kept rows, of the identity's shape.
-
-    Raises
-    ------
-    DiskFull, FolderError
-        It cannot be written, or a source has other rows by now than it says.
+    `parts` are the sources in their order, each with its kept rows, of the identity's shape. Raises DiskFull
+    or FolderError if it cannot be written, or a source has other rows by now than it says.
     """
     file.unlink(missing_ok=True)
     with (
@@ -118,8 +105,8 @@ def write_reduced_journal(
         database.execute("BEGIN")
         database.execute(f"PRAGMA user_version = {REDUCED}")
         database.execute("CREATE TABLE sources (number INTEGER PRIMARY KEY, source TEXT NOT NULL) STRICT")
-        told = {"platform": found.platform, "summary": found}
-        meta = [(name, msgspec.json.encode(value).decode()) for name, value in told.items()]
+        values = {"platform": found.platform, "summary": found}
+        meta = [(name, msgspec.json.encode(value).decode()) for name, value in values.items()]
         database.executemany("INSERT INTO meta VALUES (?, ?)", meta)
         first = 0
         for number, (source, blocks) in enumerate(parts):
@@ -133,13 +120,13 @@ def write_reduced_journal(
 
 
 def _check_same(run: str, expected: int, rows: int) -> None:
-    """Check that a run has as many rows as it had when it was looked at first."""
+    """Check that a run has as many rows as it had at first."""
     if rows != expected:
         raise FolderError(f"'{run}' grew while it was read; wait until it is done, or stop it.")
 
 
 def _insert_blocks(database: sqlite3.Connection, first: int, rows: Rows) -> int:
-    """Add rows as blocks; gives the number of the next row."""
+    """Add rows as blocks; returns the number of the next row."""
     for start in range(0, len(rows), BLOCK_ROWS):
         part = JournalSlice(first, rows[start : start + BLOCK_ROWS])
         insert_rows(database, part, epoch=0)
@@ -153,98 +140,81 @@ def common_shape(folders: Iterable[RunFolder]) -> RowShape:
     for folder in folders:
         with folder.journal() as journal:
             shapes.append(journal.shape)
-    return RowShape(
-        max(shape.genes for shape in shapes),
-        max(shape.joints for shape in shapes),
-        max(shape.descriptors for shape in shapes),
-    )
+    genes, joints, descriptors = zip(*((s.genes, s.joints, s.descriptors) for s in shapes), strict=True)
+    return RowShape(max(genes), max(joints), max(descriptors))
 
 
 @dataclass(frozen=True)
 class MergePart:
-    """A run that is merged: where its rows are, and which of the sources there it is."""
+    """A run that is merged: the folder of its rows, and its number among the sources there."""
 
     folder: RunFolder
     number: int
     source: JournalSource
 
     @property
-    def order(self) -> tuple[str, int, str, str]:
+    def identity(self) -> tuple[str, int, str, str]:
         """Sort key among others; parts with equal keys are one run."""
         asked = self.source.asked
         return asked.method, asked.seed, self.source.digest, self.source.scene
 
     @property
-    def search(self) -> tuple[str, str]:
+    def search_key(self) -> tuple[str, str]:
         """Key of the search that it records, whatever its budget and goals."""
         endless = msgspec.structs.replace(self.source.asked, evaluations=1, successes=None, no_new_cell=None)
         return self.source.scene, to_toml(endless)
 
     @property
-    def length(self) -> tuple[int, int, str]:
+    def size_key(self) -> tuple[int, int, str]:
         """Sort key by how much of its search it has; no two are equal."""
         return self.source.kept, self.source.summary["rows"], self.source.digest
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Location of its rows, for a person."""
         path = self.folder.path
         return str(path) if self.source.run == path.absolute().name else f"'{self.source.run}' in {path}"
 
     def rows(self, shape: RowShape) -> Iterator[Rows]:
-        """Its kept rows, in a shape that is as wide or wider."""
+        """Return its kept rows, in a shape that is as wide or wider."""
         return (pad_rows(rows, shape) for rows in source_rows(self.folder, self.number))
 
-    def content(self) -> set[bytes]:
-        """Its kept rows, each as bytes; no two have the same key."""
+    def row_bytes(self) -> set[bytes]:
+        """Return its kept rows, each as bytes; no two have the same key."""
         return {row.tobytes() for rows in source_rows(self.folder, self.number) for row in rows}
 
 
-@dataclass(frozen=True)
-class RepeatedRun:
-    """A run whose kept rows another one of the same search has too."""
-
-    part: MergePart
-    whole: MergePart
-
-    @property
-    def words(self) -> str:
-        """One sentence for a person."""
-        return (
-            f"{self.part.place} records a part of the search that {self.whole.place} records: it counts once."
-        )
-
-
-def merge_parts(folders: Sequence[RunFolder]) -> tuple[list[MergePart], list[RepeatedRun]]:
-    """Return the runs that folders hold rows of, each search once, and those left out, sorted.
+def merge_parts(folders: Sequence[RunFolder]) -> tuple[list[MergePart], tuple[str, ...]]:
+    """Return the runs in folders, each search once, and a sentence for each left out; sorted.
 
     A run that is named twice, or is in two merged folders, is one run.
     """
     parts = [
         MergePart(folder, n, source) for folder in folders for n, source in enumerate(journal_sources(folder))
     ]
-    ordered = sorted(parts, key=lambda part: (part.order, part.source.run), reverse=True)
-    distinct = {part.order: part for part in ordered}
-    repeats = sorted(_repeats(distinct.values()), key=lambda repeat: repeat.part.order)
-    left_out = {repeat.part.order for repeat in repeats}
-    return [distinct[order] for order in sorted(distinct) if order not in left_out], repeats
+    ordered = sorted(parts, key=lambda part: (part.identity, part.source.run), reverse=True)
+    distinct = {part.identity: part for part in ordered}
+    searches: dict[tuple[str, str], list[MergePart]] = {}
+    for part in distinct.values():
+        searches.setdefault(part.search_key, []).append(part)
+    repeats = {
+        part.identity: f"{part.location} records a part of the search that {whole.location} records: "
+        "it counts once."
+        for records in searches.values()
+        if len(records) > 1
+        for part, whole in _repeats(records)
+    }
+    kept = [distinct[identity] for identity in sorted(distinct) if identity not in repeats]
+    return kept, tuple(repeats[identity] for identity in sorted(repeats))
 
 
-def _repeats(parts: Iterable[MergePart]) -> Iterator[RepeatedRun]:
-    searches = groupby(sorted(parts, key=lambda part: part.search), key=lambda part: part.search)
-    for _, search in searches:
-        records = list(search)
-        if len(records) > 1:
-            yield from _repeats_of_one(records)
-
-
-def _repeats_of_one(records: list[MergePart]) -> Iterator[RepeatedRun]:
-    """Yield the records of one search that another of them makes superfluous."""
+def _repeats(records: list[MergePart]) -> Iterator[tuple[MergePart, MergePart]]:
+    """Yield the records of one search whose rows a larger one has too, each with that one."""
     wholes: list[tuple[MergePart, set[bytes]]] = []
-    for part in sorted(records, key=lambda part: part.length, reverse=True):
-        content = part.content()
+    for part in sorted(records, key=lambda part: part.size_key, reverse=True):
+        content = part.row_bytes()
         whole = next((one for one, known in wholes if content <= known), None)
         if whole is None:
             wholes.append((part, content))
         else:
-            yield RepeatedRun(part, whole)
+            yield part, whole

@@ -41,7 +41,7 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     diversity: Diversity
     """Niches of position, orientation and synergy with a success."""
     qd_score: float
-    """Best fitness in each of these cells, summed; fitness as the search gets it: see `SuccessMetrics`."""
+    """Best fitness in each of these cells, summed; fitness as the search gets it."""
     success_share: float | None
     """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
     mean_fitness: float | None
@@ -97,12 +97,8 @@ def run_summary(folder: RunFolder) -> RunSummary:
         found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
         return RunSummary(
             **structs.asdict(found.totals),
-            gripper=spec.gripper,
-            object=spec.object,
+            **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
             scale=spec.scale or 1.0,
-            method=spec.method,
-            protocol=spec.protocol,
-            seed=spec.seed,
             overlaps_mode=spec.overlaps,
             budget=spec.evaluations,
             rows=found.rows,

@@ -134,7 +134,7 @@ def import_(
 
 def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
     """What the file says that its grasps were found under, as flags."""
-    about = found.about
+    about = found.metadata
     spec = about.runs[0].asked if about and about.runs else RunSpec(gripper="", object="")
     mass = about.object_mass if about else found.mass or "KG"
     return {

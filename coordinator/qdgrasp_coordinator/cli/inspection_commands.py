@@ -162,13 +162,13 @@ def render(
     Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
     """
     from qdgrasp_coordinator.verification.evaluation_picture import (
-        WRITERS,  # what draws takes its time to load
+        LARGEST,  # what draws takes its time to load
         difference_reason,
         write_evaluation,
     )
     from qdgrasp_coordinator.verification.replay_client import ReplayOptions, replay_target
 
-    output = OutFile(out, suffixes=tuple(WRITERS), force=force)
+    output = OutFile(out, suffixes=tuple(LARGEST), force=force)
     output.check()
     is_film = out.suffix.lower() == ".gif"
     if what is not None and not is_film:

@@ -4,8 +4,8 @@ Public description: Eppner et al. 2021, "ACRONYM: A Large-Scale Grasp Dataset Ba
 data's own keys. They are of parallel jaws: joints and synergies stand beside them in datasets of our own,
 which other readers pass over, and so does the group `qdgrasp`.
 
-HDF5 of others is read without trust: a dataset is looked at before it is read, and nothing outside the file
-ever is.
+HDF5 files of others are read without trust: a dataset's shape and type are checked before it is read, and
+nothing outside the file ever is.
 """
 
 from collections.abc import Iterator
@@ -48,14 +48,14 @@ class Hdf5Datasets:
     def __contains__(self, name: str) -> bool:
         return self._find(name) is not None
 
-    def numbers(self, name: str, shape: tuple[int, ...] = (), count: int | None = None) -> Floats:
-        """A dataset (n, *shape) of numbers, where n is `count` if that is given."""
+    def read_numbers(self, name: str, shape: tuple[int, ...] = (), count: int | None = None) -> Floats:
+        """Read a dataset (n, *shape) of numbers, where n is `count` if that is given."""
         data = self._get(name)
         found = data.shape
         sides = "".join(f", {side}" for side in shape)
         if not found or found[1:] != shape or data.dtype.kind not in "fiub" or count not in (None, found[0]):
-            told = f"numbers of shape ({'n' if count is None else count}{sides})"
-            raise UnreadableGrasps(self._path, f"its dataset '{name}' must be {told}")
+            expected = f"numbers of shape ({'n' if count is None else count}{sides})"
+            raise UnreadableGrasps(self._path, f"its dataset '{name}' must be {expected}")
         if found[0] > MOST_GRASPS:
             raise UnreadableGrasps(self._path, f"it has {found[0]} grasps; at most {MOST_GRASPS} are read")
         if data.nbytes > max(SMALL_BYTES, MOST_COMPRESSION * self._path.stat().st_size):
@@ -63,8 +63,8 @@ class Hdf5Datasets:
         numbers: Floats = data[()].astype(np.float64)
         return numbers
 
-    def scalar(self, name: str) -> float | None:
-        """A number; None: there is none of that name."""
+    def read_scalar(self, name: str) -> float | None:
+        """Read a number; None: it is missing."""
         if name not in self:
             return None
         data = self._get(name)
@@ -72,8 +72,8 @@ class Hdf5Datasets:
             raise UnreadableGrasps(self._path, f"its dataset '{name}' must be a number")
         return float(data[()])
 
-    def text(self, name: str) -> str | None:
-        """A text; None: there is none of that name."""
+    def read_text(self, name: str) -> str | None:
+        """Read a text; None: it is missing."""
         if name not in self:
             return None
         data = self._get(name)
@@ -81,8 +81,8 @@ class Hdf5Datasets:
             raise UnreadableGrasps(self._path, f"its dataset '{name}' must be a text")
         return str(data.asstr()[()])
 
-    def words(self, name: str) -> list[str]:
-        """A list of words."""
+    def read_words(self, name: str) -> list[str]:
+        """Read a list of words."""
         data = self._get(name)
         is_list = len(data.shape or ()) == 1 and data.shape[0] <= MOST_WORDS
         if not is_list or data.dtype.itemsize > 4 * LONGEST:
@@ -98,7 +98,7 @@ class Hdf5Datasets:
         return data
 
     def _find(self, name: str) -> Any | None:
-        """The dataset, found along links that do not leave the file; None: there is none."""
+        """Find a dataset along links that do not leave the file; None: it is missing."""
         import h5py
 
         node = self._file
@@ -121,13 +121,7 @@ class Hdf5Datasets:
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[Hdf5Datasets]:
-    """The datasets of a file while it is open.
-
-    Raises
-    ------
-    Unusable
-        It is damaged, also if that is found only when a dataset is read.
-    """
+    """Open the datasets of a file; damage found while they are read is UnreadableGrasps too."""
     import h5py
 
     try:
@@ -144,43 +138,50 @@ STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
 
 
-def write(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
+def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     """Write grasps as an ACRONYM file."""
-    path.write_bytes(_file_bytes(grasps, jaw_metadata(about, grasps.scene.gripper)))
+    path.write_bytes(_file_bytes(grasps, jaw_metadata(metadata, grasps.scene.gripper)))
 
 
-def _file_bytes(grasps: Grasps, said: GraspMetadata) -> bytes:
-    """The file; it is made in memory, as HDF5 does not survive a disk that is full."""
+def _file_bytes(grasps: Grasps, metadata: GraspMetadata) -> bytes:
+    """Make the file in memory, as HDF5 does not survive a disk that is full."""
     import h5py
 
     with h5py.File("grasps", "w", driver="core", backing_store=False) as file:
-        for name, value in _object_datasets(said, object_solid(grasps.scene.object, said.frame)).items():
+        for name, value in _object_datasets(
+            metadata, object_solid(grasps.scene.object, metadata.frame)
+        ).items():
             file[f"object/{name}"] = value
-        for name, value in (_grasp_datasets(grasps, said) | _hand_datasets(grasps)).items():
+        for name, value in _grasp_datasets(grasps, metadata).items():
             file[name] = value
-        file[ABOUT] = said.json
-        file["qdgrasp"].attrs.update(_attributes(said))
+        file[ABOUT] = metadata.json
+        # what the file says of itself, one attribute each; specs and digests are in the dataset `about`
+        file["qdgrasp"].attrs.update(
+            {name: value for name, value in metadata.values.items() if name != "runs"}
+        )
         file.flush()
         made: bytes = file.id.get_file_image()
     return made
 
 
-def _object_datasets(about: GraspMetadata, thing: UniformSolid) -> dict[str, object]:
+def _object_datasets(metadata: GraspMetadata, body: UniformSolid) -> dict[str, object]:
     return {
-        "file": about.object_file or about.object,
-        "scale": about.object_scale,
-        "mass": thing.mass,
-        "density": thing.density,
-        "friction": about.object_friction,
-        "volume": thing.volume,
-        "com": thing.com,
-        "inertia": thing.inertia,
+        "file": metadata.object_file or metadata.object,
+        "scale": metadata.object_scale,
+        "mass": body.mass,
+        "density": body.density,
+        "friction": metadata.object_friction,
+        "volume": body.volume,
+        "com": body.com,
+        "inertia": body.inertia,
     }
 
 
-def _grasp_datasets(grasps: Grasps, about: GraspMetadata) -> dict[str, Any]:
+def _grasp_datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
+    hand = grasps.scene.gripper
+    opening = {"gripper/configuration": np.array([hand.jaw.opening / 2])} if hand.jaw else {}
     return {
-        TRANSFORMS: jaw_transforms(grasps, about),
+        TRANSFORMS: jaw_transforms(grasps, metadata),
         SUCCESSES: grasps.is_grasp.astype(np.int8),
         CONFIDENCE: grasps.confidence,
         "grasps/joint_positions": grasps.joints,
@@ -190,70 +191,53 @@ def _grasp_datasets(grasps: Grasps, about: GraspMetadata) -> dict[str, Any]:
         "qdgrasp/fitness": grasps.fitness,
         "qdgrasp/eta": grasps.eta,
         "qdgrasp/outcome": grasps.rows["outcome"],
-    }
-
-
-def _hand_datasets(grasps: Grasps) -> dict[str, Any]:
-    hand = grasps.scene.gripper
-    opening = {"gripper/configuration": np.array([hand.jaw.opening / 2])} if hand.jaw else {}
-    return opening | {
+        **opening,
         "gripper/type": hand.name,
         JOINTS: list(grasps.joint_names),
         SYNERGIES: list(grasps.synergy_names) or np.zeros(0, "S1"),
     }
 
 
-def _attributes(about: GraspMetadata) -> dict[str, object]:
-    """What the file says of itself, one attribute each; specs and digests are in the dataset `about`."""
-    return {name: value for name, value in about.values.items() if name != "runs"}
-
-
 def read(path: Path) -> ImportedGrasps:
-    """The grasps in an ACRONYM file, of ours or of others.
-
-    Raises
-    ------
-    Unusable
-        It is damaged, or is another HDF5 file.
-    """
+    """Read the grasps in an ACRONYM file, of ours or of others."""
     with open_hdf5(path) as file:
-        matrices = file.numbers(TRANSFORMS, (4, 4))
+        matrices = file.read_numbers(TRANSFORMS, (4, 4))
         check_matrices(path, matrices)
-        count, said = len(matrices), file.text(ABOUT)
-        about = None if said is None else decode_metadata(path, said)
+        count, text = len(matrices), file.read_text(ABOUT)
+        metadata = None if text is None else decode_metadata(path, text)
         quality = CONFIDENCE if CONFIDENCE in file else SUCCESSES
-        numbers = file.numbers(NUMBERS, (), count) if NUMBERS in file else np.arange(count)
+        numbers = file.read_numbers(NUMBERS, (), count) if NUMBERS in file else np.arange(count)
         return ImportedGrasps(
             names=numbers.astype(np.int64).astype(str),
             poses=from_matrices(matrices),
-            is_turned=True,
-            frame=about.frame if about else None,
-            gripper=about.gripper if about else file.text("gripper/type"),
-            link=about.gripper_frame if about else None,
-            starts=_starts(file, count),
+            has_jaw_axes=True,
+            frame=metadata.frame if metadata else None,
+            gripper=metadata.gripper if metadata else file.read_text("gripper/type"),
+            link=metadata.gripper_frame if metadata else None,
+            start_positions=_starts(file, count),
             synergies=_synergies(path, file, count),
-            confidence=file.numbers(quality, (), count) if quality in file else None,
-            scale=file.scalar("object/scale"),
-            mass=file.scalar("object/mass"),
-            friction=file.scalar("object/friction"),
-            about=about,
+            confidence=file.read_numbers(quality, (), count) if quality in file else None,
+            scale=file.read_scalar("object/scale"),
+            mass=file.read_scalar("object/mass"),
+            friction=file.read_scalar("object/friction"),
+            metadata=metadata,
         )
 
 
 def _starts(file: Hdf5Datasets, count: int) -> dict[str, Floats]:
-    """Joints that hands start from, by name (n,)."""
+    """Read the joints that hands start from, by name (n,)."""
     if STARTS not in file:
         return {}
-    names = file.words(JOINTS)
-    positions = file.numbers(STARTS, (len(names),), count)
+    names = file.read_words(JOINTS)
+    positions = file.read_numbers(STARTS, (len(names),), count)
     return dict(zip(names, positions.T, strict=True))
 
 
 def _synergies(path: Path, file: Hdf5Datasets, count: int) -> NDArray[np.str_] | None:
     if SYNERGY not in file:
         return None
-    names = to_words(path, "synergies", [*file.words(SYNERGIES), ""])
-    labels = file.numbers(SYNERGY, (), count).astype(np.int64)
+    names = to_words(path, "synergies", [*file.read_words(SYNERGIES), ""])
+    labels = file.read_numbers(SYNERGY, (), count).astype(np.int64)
     if ((labels < -1) | (labels >= len(names) - 1)).any():
         raise UnreadableGrasps(path, f"its dataset '{SYNERGY}' must hold -1 or places in '{SYNERGIES}'")
     return names[labels]
@@ -268,13 +252,7 @@ class FlatAcronym(Struct):
 
 
 def read_json(path: Path, payload: bytes) -> ImportedGrasps:
-    """The grasps in a flat JSON file.
-
-    Raises
-    ------
-    Unusable
-        It is another JSON file.
-    """
+    """Read the grasps in a flat JSON file."""
     flat = decode_json(path, payload, FlatAcronym)
     matrices = to_array(path, "transforms", flat.transforms, (4, 4))
     check_matrices(path, matrices)
@@ -282,7 +260,7 @@ def read_json(path: Path, payload: bytes) -> ImportedGrasps:
     return ImportedGrasps(
         names=np.arange(len(matrices)).astype(str),
         poses=from_matrices(matrices),
-        is_turned=True,
+        has_jaw_axes=True,
         confidence=None if quality is None else to_array(path, "quality", quality, (), len(matrices)),
         scale=flat.object_scale,
     )

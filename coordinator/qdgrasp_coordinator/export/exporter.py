@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
-from qdgrasp_coordinator.export import acronym, graspgen, isaac, moveit, tabular
+from qdgrasp_coordinator.export import acronym, graspgen, tabular, yaml_formats
 from qdgrasp_coordinator.export.frames import frame_of
 from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps
 from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
@@ -23,18 +23,17 @@ ALL_FAILURES = -1  # So many failures as there are
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One line of the table."""
+    """One format of files of grasps."""
 
     name: str
     write: WriteGrasps
-    """Writes a new file or folder."""
     suffix: str
-    """What files of it are called by others; empty: it is a folder."""
-    negatives: int | None = 0
-    """Failures that are written unless it is said how many; None: the format has no place for them."""
+    """Ending of its files; empty: it is a folder."""
+    default_failures: int | None = 0
+    """Failures that are written by default; None: the format has no place for them."""
 
     def output(self, path: Path, *, force: bool = False) -> WholeOutput:
-        """The file or folder at a path; by force one that is there is replaced, if it is of the format."""
+        """Return the file or folder at a path; `force` replaces one of the same format."""
         if self.suffix:
             return OutFile(path, force=force)
         return OutFolder(path, force=force, is_kind=graspgen.is_ours)
@@ -43,39 +42,14 @@ class ExportFormat:
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("isaac", isaac.write, ".yaml", negatives=None),
+        ExportFormat("isaac", yaml_formats.write_isaac, ".yaml", default_failures=None),
         ExportFormat("acronym", acronym.write, ".h5"),
-        ExportFormat("graspgen", graspgen.write, "", negatives=ALL_FAILURES),
+        ExportFormat("graspgen", graspgen.write, "", default_failures=ALL_FAILURES),
         ExportFormat("parquet", tabular.write_parquet, ".parquet"),
-        ExportFormat("moveit", moveit.write, ".yaml", negatives=None),
+        ExportFormat("moveit", yaml_formats.write_moveit, ".yaml", default_failures=None),
         ExportFormat("csv", tabular.write_csv, ".csv"),
     )
 }
-
-
-def export_format(name: str) -> ExportFormat:
-    """The format of that name.
-
-    Raises
-    ------
-    UnknownName
-        There is none.
-    """
-    if name not in FORMATS:
-        raise UnknownName("format", name, FORMATS)
-    return FORMATS[name]
-
-
-def write_grasps(out: WholeOutput, form: ExportFormat, grasps: Grasps, about: GraspMetadata) -> None:
-    """Write grasps to a file or folder.
-
-    Raises
-    ------
-    DiskFull, OutputError
-        It cannot be written.
-    """
-    with out.writing() as made:
-        form.write(made, grasps, about)
 
 
 def export_run(
@@ -118,8 +92,12 @@ def export_run(
     InputError
         There is no such format or frame, there is nothing to write, or it cannot be read or written.
     """
-    form, told_in = export_format(name), frame_of(frame)
-    wanted = _negatives(form, negatives)
+    if name not in FORMATS:
+        raise UnknownName("format", name, FORMATS)
+    form, object_frame = FORMATS[name], frame_of(frame)
+    if negatives and form.default_failures is None:
+        raise InputError(f"{form.name} has no place for failures; leave --negatives out.")
+    wanted = negatives if negatives is not None else form.default_failures or 0
     output = form.output(out, force=force)
     output.check()
     tell(f"reading {folder.path}")
@@ -131,20 +109,15 @@ def export_run(
     failures = _failures(every, chosen, wanted)
     written = join_grasps([chosen, failures])
     tell(f"writing {counted(len(written), 'evaluation')} to {out}")
-    write_grasps(output, form, written, grasp_metadata(folder, written, told_in))
+    with output.writing() as made:
+        form.write(made, written, grasp_metadata(folder, written, object_frame))
     beside = f" and {counted(len(failures), 'failure')}" if wanted else ""
-    return f"{counted(len(chosen), 'grasp')}{beside} written to {out}, poses in the object's {told_in} frame."
-
-
-def _negatives(form: ExportFormat, asked: int | None) -> int:
-    """How many failures are to be written, or `ALL`."""
-    if asked and form.negatives is None:
-        raise InputError(f"{form.name} has no place for failures; leave --negatives out.")
-    return asked if asked is not None else form.negatives or 0
+    grasps_written = f"{counted(len(chosen), 'grasp')}{beside} written to {out}"
+    return f"{grasps_written}, poses in the object's {object_frame} frame."
 
 
 def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
-    """The evaluations that were no grasps; of more than `most` some that are spread over the journal."""
+    """Return evaluations that were no grasps, at most `most`, spread over the journal."""
     places = np.flatnonzero(~every.is_grasp & ~np.isin(every.numbers, chosen.numbers))
     if most != ALL_FAILURES and most < len(places):
         places = places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
@@ -152,7 +125,7 @@ def _failures(every: Grasps, chosen: Grasps, most: int) -> Grasps:
 
 
 def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
-    """What is said where there is no grasp to write."""
+    """Explain that there is no grasp to write."""
     successes = every[every.is_success]
     if not len(successes):
         with folder.journal() as journal:

@@ -1,4 +1,4 @@
-"""Frames in which grasps are told, and the object's mesh, mass and inertia in them."""
+"""Frames of an object that grasps are given in, and its mesh, mass and inertia in them."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -18,13 +18,7 @@ FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 
 def frame_of(name: str) -> Frame:
-    """The object's frame of that name.
-
-    Raises
-    ------
-    UnknownName
-        There is none.
-    """
+    """Return the object's frame of that name; raises UnknownName."""
     for frame in FRAMES:
         if frame == name:
             return frame
@@ -32,20 +26,20 @@ def frame_of(name: str) -> Frame:
 
 
 def change_frame(poses: Floats, com_in_mesh: ArrayLike, source: Frame, target: Frame) -> Floats:
-    """Poses (n, 7), xyz [m] and xyzw, told in one frame of the object, as another frame tells them."""
+    """Move poses (n, 7), xyz [m] and xyzw, from one frame of the object to another."""
     found = poses.copy()
     found[:, :3] += (FRAMES.index(source) - FRAMES.index(target)) * np.asarray(com_in_mesh)
     return found
 
 
-def turn_hand_axes(poses: Floats, turn: Floats) -> Floats:
-    """Poses (n, 7) of hands whose own axes are turned by a quaternion (4,), xyzw, first."""
-    turns = np.broadcast_to(turn, (len(poses), 4))
-    return np.hstack([poses[:, :3], multiply(poses[:, 3:], turns)])
+def turn_hand_axes(poses: Floats, rotation: Floats) -> Floats:
+    """Turn the hand's own axes of poses (n, 7) by a quaternion (4,), xyzw."""
+    rotations = np.broadcast_to(rotation, (len(poses), 4))
+    return np.hstack([poses[:, :3], multiply(poses[:, 3:], rotations)])
 
 
 def to_matrices(poses: Floats) -> Floats:
-    """Poses (n, 7) as homogeneous matrices (n, 4, 4)."""
+    """Convert poses (n, 7) to homogeneous matrices (n, 4, 4)."""
     quaternions = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
     matrices = np.zeros((len(poses), 4, 4))
     for column, axis in enumerate(np.eye(3)):
@@ -55,21 +49,21 @@ def to_matrices(poses: Floats) -> Floats:
 
 
 def from_matrices(matrices: Floats) -> Floats:
-    """The inverse of `to_matrices`, with w >= 0."""
+    """Convert homogeneous matrices to poses, the inverse of `to_matrices`, with w >= 0."""
     x, y, z = np.moveaxis(matrices[:, :3, :3], 2, 0)
     return np.hstack([matrices[:, :3, 3], from_frame(x, y, z)])
 
 
 def jaw_turn(gripper: SceneGripper) -> Floats:
-    """The rotation (4,), xyzw, from a hand's root link to axes with +z towards the object and x across.
+    """Rotation (4,), xyzw, from a hand's root link to axes with +z toward the object, x across.
 
     x is the axis along which the two fingers of a jaw open; of a hand without a jaw it is the first of two
-    tangents to its approach axis (`rotation.tangents`), which is its own x where it looks along +z.
+    tangents to its approach axis (`rotation.tangents`), which is its own x if that axis is +z.
     """
     z = np.array([gripper.approach_axis])
     x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
-    turn: Floats = from_frame(x, np.cross(z, x), z)[0]
-    return turn
+    rotation: Floats = from_frame(x, np.cross(z, x), z)[0]
+    return rotation
 
 
 @dataclass(frozen=True)
@@ -77,7 +71,7 @@ class UniformSolid:
     """A solid of uniform density."""
 
     mesh: Mesh
-    """[m], in the frame that poses are told in."""
+    """[m], in the frame of the poses."""
     mass: float
     """[kg]."""
     com: Floats
@@ -85,7 +79,7 @@ class UniformSolid:
 
     @property
     def volume(self) -> float:
-        """Of what the mesh encloses [m3]."""
+        """Volume that the mesh encloses [m3]."""
         return self.mesh.volume
 
     @property
@@ -108,9 +102,9 @@ class UniformSolid:
         return inertia
 
 
-def object_solid(thing: SceneObject, frame: Frame) -> UniformSolid:
-    """The object of a scene, told in one of its frames."""
-    com = np.zeros(3) if frame == COM else np.array(thing.com_in_mesh)
-    vertices = np.frombuffer(thing.mesh_vertices, dtype="<f4").reshape(-1, 3).astype(np.float64)
-    faces = np.frombuffer(thing.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
-    return UniformSolid(Mesh(vertices + com, faces), thing.mass, com)
+def object_solid(body: SceneObject, frame: Frame) -> UniformSolid:
+    """Return the object of a scene in one of its frames."""
+    com = np.zeros(3) if frame == COM else np.array(body.com_in_mesh)
+    vertices = np.frombuffer(body.mesh_vertices, dtype="<f4").reshape(-1, 3).astype(np.float64)
+    faces = np.frombuffer(body.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
+    return UniformSolid(Mesh(vertices + com, faces), body.mass, com)

@@ -1,9 +1,8 @@
 """Grasps of a run as arrays: read from its journal; selected by fitness, rank and spread."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
 from typing import NamedTuple, overload
 
 import numpy as np
@@ -12,13 +11,12 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats, multiply
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, frame_of, to_matrices
-from qdgrasp_coordinator.metrics import arrays
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.scores import SHAKES, TrialSums, best_first, eta, genome_numbers
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec
@@ -27,19 +25,11 @@ from qdgrasp_protocol.text import counted
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
 
 
-class GraspOrigin(NamedTuple):
-    """A run that found grasps."""
-
-    run: str
-    """The name of its folder."""
-    spec: RunSpec
-
-
 class Grasp(NamedTuple):
-    """One grasp. Its pose is that of the hand's root link in the frame of the object's mesh file."""
+    """One grasp: the pose of the hand's root link in the frame of the object's mesh file."""
 
     number: int
-    """The row's in the journal, from 0: `qdgrasp show DIR --grasp NUMBER` tells the rest."""
+    """Number of its row in the journal, from 0, as in `qdgrasp show DIR --grasp NUMBER`."""
     position: Floats
     """(3,) x y z [m]."""
     quaternion_xyzw: Floats
@@ -61,21 +51,24 @@ class Grasp(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Grasps:
-    """Evaluations of one scene, as arrays of n lines; a number takes one, a slice, mask or array several."""
+    """Evaluations of one scene, as arrays of n lines.
+
+    Indexed by a number it gives one grasp, by a slice, mask or array several.
+    """
 
     scene: Scene
     spec: RunSpec
     """Of the run's folder."""
-    sources: tuple[GraspOrigin, ...]
+    sources: tuple[Provenance, ...]
     """The runs that found them: one, but for a merged folder."""
     origins: NDArray[np.int64]
-    """(n,): which of the sources each comes from."""
+    """(n,): index of the source that each comes from."""
     numbers: NDArray[np.int64]
     """(n,): the rows' numbers in the journal."""
     rows: Rows
     """(n,): all columns of the journal; positions in the object's centre-of-mass frame."""
     eta: Floats
-    """(n,): the estimated probability of transfer; NaN where not all trials of a success are there."""
+    """(n,): estimated probability of transfer; NaN unless all trials of a success are there."""
 
     def __repr__(self) -> str:
         return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
@@ -92,14 +85,12 @@ class Grasps:
     def __getitem__(self, places: int | GraspIndices) -> "Grasp | Grasps":
         if isinstance(places, int | np.integer):
             return self._grasp(places)
-        return Grasps(
-            self.scene,
-            self.spec,
-            self.sources,
-            self.origins[places],
-            self.numbers[places],
-            arrays.take_rows(self.rows, places),
-            self.eta[places],
+        return replace(
+            self,
+            origins=self.origins[places],
+            numbers=self.numbers[places],
+            rows=take_rows(self.rows, places),
+            eta=self.eta[places],
         )
 
     def __iter__(self) -> Iterator[Grasp]:
@@ -131,7 +122,7 @@ class Grasps:
 
     @property
     def synergy_names(self) -> tuple[str, ...]:
-        """What the labels in `synergies` stand for."""
+        """Names of the labels in `synergies`."""
         return tuple(synergy.name for synergy in self.scene.gripper.synergies)
 
     @property
@@ -148,24 +139,24 @@ class Grasps:
 
     @property
     def is_success(self) -> NDArray[np.bool_]:
-        """(n,): whether a finger touches the object after closing."""
+        """(n,): True if a finger touches the object after closing."""
         found: NDArray[np.bool_] = self.rows["outcome"] >= Outcome.DROPPED
         return found
 
     @property
     def is_grasp(self) -> NDArray[np.bool_]:
-        """(n,): whether at least one shake was survived."""
+        """(n,): True if at least one shake was survived."""
         found: NDArray[np.bool_] = self.rows["outcome"] >= Outcome.SHAKEN
         return found
 
     @cached_property
     def confidence(self) -> Floats:
-        """(n,), 0 to 1, higher is better: eta where it is known, elsewhere the share of shakes survived."""
+        """(n,), 0 to 1, higher is better: eta if it is known, else the share of shakes survived."""
         return np.where(np.isnan(self.eta), self.fitness / SHAKES, self.eta)
 
     @cached_property
     def starts(self) -> NDArray[np.float32]:
-        """(n, d): the genomes of the prior `given` that evaluate to these very rows again, bit for bit."""
+        """(n, d): genomes of the prior `given` that evaluate to these very rows, bit for bit."""
         columns = 7 + bool(self.synergy_names) + len(self.scene.gripper.free_joints)
         starts = np.zeros((len(self), columns), np.float32)
         for origin, source in enumerate(self.sources):
@@ -180,140 +171,85 @@ class Grasps:
 
     @cached_property
     def synergies(self) -> NDArray[np.int64]:
-        """(n,): the label of the synergy that closes each hand; `NO_SYNERGY` where all driven joints do."""
+        """(n,): label of the synergy that closes each hand, or `NO_SYNERGY`: all driven joints do."""
         if not self.scene.gripper.synergies:
             return np.full(len(self), NO_SYNERGY)
         return self.starts[:, 7].astype(np.int64)
 
     @property
     def spreads(self) -> NDArray[np.float32]:
-        """(n, k): what the free joints start from [rad]."""
+        """(n, k): initial positions of the free joints [rad]."""
         count = len(self.scene.gripper.free_joints)
         return self.starts[:, self.starts.shape[1] - count :]
 
     def poses(self, frame: Frame = MESH) -> Floats:
         """(n, 7): the hand's root link, x y z [m] and quaternion xyzw, as simulated.
 
-        Parameters
-        ----------
-        frame
-            "mesh": of the object's mesh file, in metres; "com": with the same axes at the centre of mass.
-
-        Raises
-        ------
-        UnknownName
-            There is no such frame.
+        `frame` "mesh" is that of the object's mesh file, in metres; "com" has the same axes at the centre of
+        mass. Raises UnknownName if it is neither.
         """
         poses = self.rows["base_to_object"].astype(np.float64)
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
 
     def matrices(self, frame: Frame = MESH) -> Floats:
-        """(n, 4, 4): the same as homogeneous matrices."""
+        """(n, 4, 4): the poses as homogeneous matrices."""
         return to_matrices(self.poses(frame))
 
 
 def join_grasps(parts: Sequence[Grasps]) -> Grasps:
-    """Grasps of one run one behind the other."""
-    first = parts[0]
-    return Grasps(
-        first.scene,
-        first.spec,
-        first.sources,
-        np.concatenate([part.origins for part in parts]),
-        np.concatenate([part.numbers for part in parts]),
-        arrays.join_rows([part.rows for part in parts]),
-        np.concatenate([part.eta for part in parts]),
-    )
-
-
-class JournalSection(NamedTuple):
-    """The rows of one run in a journal: `start` to `stop`."""
-
-    found: GraspOrigin
-    start: int
-    stop: int
-
-
-def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
-    """The nominal evaluations in a run's folder that got as far as `least`, in journal order.
-
-    Parameters
-    ----------
-    folder
-        Any run's, also while it goes on: what is recorded by now.
-    least
-        `DROPPED`: all successes; `MISSED`: all that were simulated. A pruned or merged folder has kept
-        successes alone.
-
-    Raises
-    ------
-    FolderError
-        The folder cannot be read, or has no scene yet.
-    """
-    scene = folder.scene()
-    with folder.journal() as journal:
-        sections = _sections(folder, journal)
-        parts = [_section_grasps(journal, section, least) for section in sections]
-    return Grasps(
-        scene=scene,
-        spec=folder.spec,
-        sources=tuple(section.found for section in sections),
-        origins=np.repeat(np.arange(len(parts)), [len(part.rows) for part in parts]),
+    """Join grasps of one run, one behind the other."""
+    return replace(
+        parts[0],
+        origins=np.concatenate([part.origins for part in parts]),
         numbers=np.concatenate([part.numbers for part in parts]),
         rows=join_rows([part.rows for part in parts]),
         eta=np.concatenate([part.eta for part in parts]),
     )
 
 
-class _SectionGrasps(NamedTuple):
-    numbers: NDArray[np.int64]
-    rows: Rows
-    eta: Floats
+def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
+    """Read the nominal evaluations of a run that got as far as `least`, in journal order.
+
+    The run may go on: what is recorded by now is read. `DROPPED` gives all successes, `MISSED` all that were
+    simulated; a pruned or merged folder has kept successes alone. Raises FolderError if the folder cannot be
+    read, or has no scene yet.
+    """
+    scene, spec = folder.scene(), folder.spec
+    with folder.journal() as journal:
+        sources = tuple(provenances(folder, journal))
+        parts = []
+        for origin, source in enumerate(sources):
+            numbers, rows, etas = _source_grasps(journal, source, least)
+            parts.append(Grasps(scene, spec, sources, np.full(len(rows), origin), numbers, rows, etas))
+    return join_grasps(parts)
 
 
-def _sections(folder: RunFolder, journal: Journal) -> list[JournalSection]:
-    """Which rows are whose; all are the folder's own unless it was merged or pruned."""
-    if not journal.sources:
-        return [JournalSection(GraspOrigin(folder.path.absolute().name, folder.spec), 0, journal.count)]
-    ends = [0, *accumulate(source.kept for source in journal.sources)]
-    return [
-        JournalSection(GraspOrigin(source.run, source.asked), start, stop)
-        for source, start, stop in zip(journal.sources, ends, ends[1:], strict=False)
-    ]
-
-
-def _section_grasps(journal: Journal, section: JournalSection, least: Outcome) -> _SectionGrasps:
-    """What one run has: its rows that got far enough, and what their trials came to."""
-    known = trial_count(section.found.spec.protocol)
-    scores, first = TrialSums(known), section.start
+def _source_grasps(
+    journal: Journal, source: Provenance, least: Outcome
+) -> tuple[NDArray[np.int64], Rows, Floats]:
+    """Read the rows of one run that got far enough, with numbers and etas (NaN: unknown)."""
+    trials = trial_count(source.spec.protocol)
+    scores, first = TrialSums(trials), source.rows.start
     numbers, rows, scored = [np.zeros(0, np.int64)], [journal.shape.empty(0)], [journal.shape.empty(0)]
-    for block in _section_blocks(journal, section):
+    for block in journal.kept(source.rows.start, source.rows.stop) if source.rows else ():
         here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
         numbers.append(first + here)
         rows.append(take_rows(block, here))
-        if known:
+        if trials:
             scored.append(scores.take(block))
         first += len(block)
-    found = join_rows(rows)
-    return _SectionGrasps(np.concatenate(numbers), found, _etas(found, join_rows(scored), known))
-
-
-def _section_blocks(journal: Journal, section: JournalSection) -> Iterator[Rows]:
-    return journal.kept(section.start, section.stop) if section.start < section.stop else iter(())
-
-
-def _etas(rows: Rows, scored: Rows, known: int) -> Floats:
-    """The eta of each row (n,), NaN where its trials are not complete or there are none."""
-    found = np.full(len(rows), np.nan)
-    if known:
-        found[np.searchsorted(genome_numbers(rows), genome_numbers(scored))] = eta(scored["fitness"], known)
-    return found
+    found, complete = join_rows(rows), join_rows(scored)
+    etas = np.full(len(found), np.nan)
+    if trials:
+        places = np.searchsorted(genome_numbers(found), genome_numbers(complete))
+        etas[places] = eta(complete["fitness"], trials)
+    return np.concatenate(numbers), found, etas
 
 
 def select_grasps(
     grasps: Grasps, min_fitness: float = 1, top: int | None = None, diverse: int | None = None
 ) -> Grasps:
-    """Some of the grasps: first those that are good enough, of these the best, of these well spread ones.
+    """Select grasps that are good enough, of these the best, and of these well spread ones.
 
     Parameters
     ----------
@@ -352,12 +288,12 @@ def _check_number(name: str, value: object, *, whole: bool) -> None:
 
 
 def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
-    """The places (m,) of at most `most` well-spread grasps: the first, then ever the farthest from those.
+    """Choose at most `most` well-spread grasps: the first, then ever the farthest from those.
 
-    The distance of two hands is the root of the sum of two squares: how far their root links are apart, and
-    how far a point at the hand's reach from its root link moves when the one hand is turned as the other,
-    2 reach sin(angle / 2). A jaw turned by 180 degrees about its approach axis is the same jaw. Of equally
-    far ones the first is taken (Gonzalez 1985, "Clustering to minimize the maximum intercluster distance").
+    The distance of two hands is the root of the sum of two squares: the distance of their root links, and the
+    way that a point at the hand's reach from its root link moves when the one hand is turned as the other, 2
+    reach sin(angle / 2). A jaw turned by 180 degrees about its approach axis is the same jaw. Of equally far
+    ones the first is taken (Gonzalez 1985, "Clustering to minimize the maximum intercluster distance").
     """
     poses, hand = grasps.poses(COM), grasps.scene.gripper
     nearest = np.full(len(poses), np.inf)
@@ -371,7 +307,7 @@ def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
 
 
 def _squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:
-    """The squared distances (n,) [m2] of poses (n, 7) from another one (7,)."""
+    """Return the squared distances (n,) [m2] of poses (n, 7) from another one (7,)."""
     apart, cosine = poses[:, :3] - other[:3], _half_angle_cosines(poses[:, 3:], other[3:])
     if hand.jaw:
         half = np.array([*hand.approach_axis, 0.0])  # the quaternion of 180 degrees
@@ -384,7 +320,7 @@ def _squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floa
 
 
 def _half_angle_cosines(quaternions: Floats, other: Floats) -> Floats:
-    """The cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
+    """Cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
     x, y, z, w = quaternions.T
     cosine: Floats = np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3])
     return cosine

@@ -6,7 +6,7 @@ has
 * `grasp_data/NAME.json`             transforms and bits, and what the file says of itself
 * `grasp_data/map_uuid_to_path.json` which object is in which file
 * `splits/train.txt`, `valid.txt`    the object, in both: there is one
-* `object_data/NAME.obj`             its mesh, in metres, in the frame that the transforms are told in
+* `object_data/NAME.obj`             its mesh, in metres, in the frame of the transforms
 """
 
 from dataclasses import replace
@@ -33,39 +33,40 @@ from qdgrasp_coordinator.export.metadata import GraspMetadata, jaw_metadata, jaw
 INDEX_FILE = "map_uuid_to_path.json"
 DATA, SPLITS, OBJECTS = "grasp_data", "splits", "object_data"
 BASE_OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-"""From the axes of the transforms to those of GraspGen, xyz [m] and xyzw: none, they are turned already."""
+"""Offset of GraspGen's axes from those of the transforms, xyz [m] and xyzw: zero."""
 
 
-def write(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
+def write(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
     """Write grasps and failures as a GraspGen folder."""
     for folder in (DATA, SPLITS, OBJECTS):
         (path / folder).mkdir(parents=True)
-    name = f"{about.object}.obj"
-    data = f"{about.object}.json"
-    (path / OBJECTS / name).write_bytes(parts_to_obj([object_solid(grasps.scene.object, about.frame).mesh]))
-    (path / DATA / data).write_bytes(msgspec.json.encode(_values(name, grasps, about)))
+    name = f"{metadata.object}.obj"
+    data = f"{metadata.object}.json"
+    (path / OBJECTS / name).write_bytes(
+        parts_to_obj([object_solid(grasps.scene.object, metadata.frame).mesh])
+    )
+    (path / DATA / data).write_bytes(msgspec.json.encode(_values(name, grasps, metadata)))
     (path / DATA / INDEX_FILE).write_bytes(msgspec.json.encode({name: data}))
     for split in ("train", "valid"):
         (path / SPLITS / f"{split}.txt").write_text(f"{name}\n", encoding="utf-8")
 
 
 def is_ours(path: Path) -> bool:
-    """Whether a folder is one that `write` made."""
+    """Return whether `write` made a folder."""
     return path.is_dir() and (path / DATA / INDEX_FILE).is_file() and {p.name for p in path.iterdir()} == {
         DATA, SPLITS, OBJECTS,
     }  # fmt: skip
 
 
-def _values(name: str, grasps: Grasps, about: GraspMetadata) -> dict[str, Any]:
-    said = jaw_metadata(about, grasps.scene.gripper)
+def _values(name: str, grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
     names = (*grasps.synergy_names, "")
     return {
         "object": {"file": name, "scale": 1.0},
         "grasps": {
-            "transforms": jaw_transforms(grasps, about).tolist(),
+            "transforms": jaw_transforms(grasps, metadata).tolist(),
             "object_in_gripper": grasps.is_grasp.tolist(),
         },
-        "qdgrasp": said.values
+        "qdgrasp": jaw_metadata(metadata, grasps.scene.gripper).values
         | {
             "transform_offset_from_asset_to_graspgen_convention": BASE_OFFSET,
             "joint_names": grasps.joint_names,
@@ -82,7 +83,7 @@ def _values(name: str, grasps: Grasps, about: GraspMetadata) -> dict[str, Any]:
 
 
 class GraspGenObject(Struct):
-    """What is grasped."""
+    """The object."""
 
     scale: float | None = None
 
@@ -95,7 +96,7 @@ class GraspGenTransforms(Struct):
 
 
 class GraspGenExtras(Struct):
-    """What has no place in the format, in the order of the transforms."""
+    """Values without a place in the format, in the order of the transforms."""
 
     number: list[Annotated[int, msgspec.Meta(ge=0)]]
     pregrasp_joint_positions: list[list[float]]
@@ -118,43 +119,37 @@ class GraspGenFile(Struct):
 
 
 def read(path: Path, payload: bytes) -> ImportedGrasps:
-    """The grasps and failures in a JSON file of such a folder, of ours or of others.
-
-    Raises
-    ------
-    Unusable
-        It is another JSON file.
-    """
+    """Read the grasps and failures in a JSON file of such a folder, of ours or of others."""
     file = decode_json(path, payload, GraspGenFile)
     matrices = to_array(path, "transforms", file.grasps.transforms, (4, 4))
     check_matrices(path, matrices)
     count, bits = len(matrices), file.grasps.object_in_gripper
-    told = ImportedGrasps(
+    imported = ImportedGrasps(
         names=np.arange(count).astype(str),
         poses=from_matrices(matrices),
-        is_turned=True,
+        has_jaw_axes=True,
         confidence=None if bits is None else to_array(path, "object_in_gripper", bits, (), count),
         scale=file.object.scale,
     )
-    return told if file.qdgrasp is None else _with_joints(path, told, file.qdgrasp)
+    return imported if file.qdgrasp is None else _with_joints(path, imported, file.qdgrasp)
 
 
-def _with_joints(path: Path, told: ImportedGrasps, ours: GraspGenMetadata) -> ImportedGrasps:
-    """The same with what stands beside it."""
-    beside, count = ours.grasps, len(told)
+def _with_joints(path: Path, imported: ImportedGrasps, ours: GraspGenMetadata) -> ImportedGrasps:
+    """Add joints and synergies from the block `qdgrasp`."""
+    beside, count = ours.grasps, len(imported)
     starts = to_array(
         path, "pregrasp_joint_positions", beside.pregrasp_joint_positions, (len(ours.joint_names),), count
     )
     if not len(beside.number) == len(beside.synergy) == count:
         raise UnreadableGrasps(path, f"the lists in its block 'qdgrasp' must have {count} items")
     return replace(
-        told,
+        imported,
         names=np.array(beside.number, dtype=np.int64).astype(str),
-        starts=dict(zip(ours.joint_names, starts.T, strict=True)),
+        start_positions=dict(zip(ours.joint_names, starts.T, strict=True)),
         synergies=to_words(path, "synergies", beside.synergy),
         frame=ours.frame,
         gripper=ours.gripper,
         link=ours.gripper_frame,
         scale=ours.object_scale,
-        about=ours,
+        metadata=ours,
     )

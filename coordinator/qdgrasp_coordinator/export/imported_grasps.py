@@ -1,6 +1,7 @@
 """Grasps as a file gives them, before their hand and object are known; and their checks.
 
-Files come from anywhere: they are read without trust, and refused in one sentence.
+Files come from anywhere: they are read without trust, and refused in one sentence. All that read them raise
+UnreadableGrasps.
 """
 
 from collections.abc import Iterable, Mapping
@@ -25,15 +26,7 @@ Kind = TypeVar("Kind", bound=Struct)
 
 
 class UnreadableGrasps(InputError):
-    """A file that no grasps can be read from.
-
-    Parameters
-    ----------
-    path
-        The file.
-    reason
-        Why not; lines of others become one.
-    """
+    """A file that no grasps can be read from; lines of the reason become one."""
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"No grasps can be read from '{path}': {' '.join(reason.split()).rstrip('.')}.")
@@ -41,49 +34,43 @@ class UnreadableGrasps(InputError):
 
 @dataclass(frozen=True)
 class ImportedGrasps:
-    """Grasps as a file tells them: arrays of n lines."""
+    """Grasps in a file, as arrays of n lines; None: the file does not say it."""
 
     names: NDArray[np.str_]
     """(n,)."""
     poses: Floats
     """(n, 7): x y z [m] and quaternion xyzw of the hand in the object's frame."""
-    is_turned: bool = False
-    """Whether the hand's axes are +z towards the object and x across the jaw, not those of its root link."""
+    has_jaw_axes: bool = False
+    """True: the hand's axes are +z toward the object and x across the jaw, not its root link's."""
     frame: Frame | None = None
-    """The object's frame in which they are told; None: it is not said."""
+    """The object's frame that poses are given in."""
     gripper: str | None = None
-    """Whose poses they are; None: it is not said."""
+    """The hand that has the poses."""
     link: str | None = None
-    """Its link whose poses they are; None: it is not said."""
-    starts: Mapping[str, Floats] = field(default_factory=dict)
-    """Joints that hands start from, by name: (n,) [rad or m], NaN where it is not told."""
+    """The hand's link that has the poses."""
+    start_positions: Mapping[str, Floats] = field(default_factory=dict)
+    """Joints that hands start from, by name: (n,) [rad or m], NaN where it is unknown."""
     joints: tuple[str, ...] = ()
     """Other joints of the hand that the file names."""
     synergies: NDArray[np.str_] | None = None
-    """(n,), empty where all driven joints close; None: not told."""
+    """(n,), empty where all driven joints close."""
     confidence: Floats | None = None
-    """(n,); None: not told."""
+    """(n,)."""
     scale: float | None = None
-    """What the object's mesh is scaled by; None: not told."""
+    """Factor of the lengths of the object's mesh."""
     mass: float | None = None
-    """Of the object [kg]; None: not told."""
+    """Of the object [kg]."""
     friction: float | None = None
-    """Lateral coefficient of the object; None: not told."""
-    about: GraspMetadata | None = None
-    """None: the file is not one of ours."""
+    """Lateral coefficient of the object."""
+    metadata: GraspMetadata | None = None
+    """Of a file of ours."""
 
     def __len__(self) -> int:
         return len(self.poses)
 
 
 def decode_metadata(path: Path, text: str | bytes) -> GraspMetadata:
-    """What a file of ours says of itself, as JSON.
-
-    Raises
-    ------
-    Unusable
-        It says something else.
-    """
+    """Decode the metadata of a file of ours from JSON."""
     try:
         return msgspec.json.decode(text, type=GraspMetadata)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -91,13 +78,7 @@ def decode_metadata(path: Path, text: str | bytes) -> GraspMetadata:
 
 
 def decode_json(path: Path, payload: bytes, kind: type[Kind]) -> Kind:
-    """What a JSON text says, as a struct.
-
-    Raises
-    ------
-    Unusable
-        It says something else, or is not JSON.
-    """
+    """Decode a JSON text as a struct."""
     try:
         return msgspec.json.decode(payload, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
@@ -107,13 +88,7 @@ def decode_json(path: Path, payload: bytes, kind: type[Kind]) -> Kind:
 def to_array(
     path: Path, what: str, values: object, shape: tuple[int, ...], count: int | None = None
 ) -> Floats:
-    """Lists of numbers as an array (n, *shape).
-
-    Raises
-    ------
-    Unusable
-        They are not of that shape.
-    """
+    """Convert lists of numbers to an array (n, *shape), where n is `count` if it is given."""
     try:
         found = np.array(values, dtype=np.float64)
     except ValueError:
@@ -129,13 +104,7 @@ def to_array(
 
 
 def to_words(path: Path, what: str, words: Iterable[str]) -> NDArray[np.str_]:
-    """Words as an array (n,).
-
-    Raises
-    ------
-    Unusable
-        One is too long.
-    """
+    """Convert words to an array (n,); a word that is too long is refused."""
     found = list(words)
     for word in found:
         if len(word) > LONGEST:
@@ -146,40 +115,30 @@ def to_words(path: Path, what: str, words: Iterable[str]) -> NDArray[np.str_]:
 
 
 UNIT_TOLERANCE = 1e-2
-"""A quaternion may be so much longer or shorter than one, and a matrix so far from a rotation."""
+"""Tolerance of a quaternion's length, and of a matrix's products from the identity."""
 
 
-def check_grasps(path: Path, told: ImportedGrasps) -> None:
-    """Check that a file tells grasps that can be.
-
-    Raises
-    ------
-    Unusable
-        There is none, a number is not finite or cannot be, or a quaternion is not one of a rotation.
-    """
-    if not len(told):
+def check_grasps(path: Path, imported: ImportedGrasps) -> None:
+    """Check that there are grasps, and that their numbers are possible."""
+    if not len(imported):
         raise UnreadableGrasps(path, "there is none in it")
-    check_positions(path, told.names, told.poses)
-    lengths = np.linalg.norm(told.poses[:, 3:], axis=1)
+    check_positions(path, imported.names, imported.poses)
+    lengths = np.linalg.norm(imported.poses[:, 3:], axis=1)
     unit = np.asarray(np.abs(lengths - 1.0) <= UNIT_TOLERANCE)
     wrong = lengths[~unit][0] if not unit.all() else 1.0
-    _check_each(path, told.names, unit, f"its quaternion must be of length 1, and is of length {wrong:.4g}")
-    for joint, values in told.starts.items():
-        _check_each(path, told.names, ~np.isinf(values), f"joint '{joint}' is infinite")
-    for what, value in (("scale", told.scale), ("mass", told.mass), ("friction", told.friction)):
+    _check_each(
+        path, imported.names, unit, f"its quaternion must be of length 1, and is of length {wrong:.4g}"
+    )
+    for joint, values in imported.start_positions.items():
+        _check_each(path, imported.names, ~np.isinf(values), f"joint '{joint}' is infinite")
+    for what, value in (("scale", imported.scale), ("mass", imported.mass), ("friction", imported.friction)):
         _check_positive(path, f"the object's {what}", value)
-    if told.about:
-        _check_metadata(path, told.about)
+    if imported.metadata:
+        _check_metadata(path, imported.metadata)
 
 
 def check_positions(path: Path, names: NDArray[np.str_], poses: Floats) -> None:
-    """Check that poses (n, 7) are finite, and near enough for their digits to tell something.
-
-    Raises
-    ------
-    Unusable
-        One is not.
-    """
+    """Check that poses (n, 7) are finite, and near enough for their digits to mean something."""
     finite = np.asarray(np.isfinite(poses).all(axis=1))
     _check_each(path, names, finite, "its pose holds a number that is not finite")
     near = np.asarray((np.abs(poses[:, :3]) <= FARTHEST).all(axis=1))
@@ -187,13 +146,7 @@ def check_positions(path: Path, names: NDArray[np.str_], poses: Floats) -> None:
 
 
 def check_matrices(path: Path, matrices: Floats) -> None:
-    """Check that matrices (n, 4, 4) are homogeneous ones of rigid motions.
-
-    Raises
-    ------
-    Unusable
-        One is not.
-    """
+    """Check that matrices (n, 4, 4) are homogeneous ones of rigid motions."""
     turns = matrices[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         is_finite = np.isfinite(matrices).all(axis=(1, 2))
@@ -205,20 +158,20 @@ def check_matrices(path: Path, matrices: Floats) -> None:
         raise UnreadableGrasps(path, f"transform {number} is not a rotation and a translation")
 
 
-def _check_metadata(path: Path, about: GraspMetadata) -> None:
-    """Check the numbers that a file of ours says of itself, and the specs of its runs."""
+def _check_metadata(path: Path, metadata: GraspMetadata) -> None:
+    """Check the numbers in the metadata of a file of ours, and the specs of its runs."""
     for name in ("object_scale", "object_mass"):
-        _check_positive(path, name, getattr(about, name))
-    if not 0 <= about.object_friction < np.inf:
+        _check_positive(path, name, getattr(metadata, name))
+    if not 0 <= metadata.object_friction < np.inf:
         raise UnreadableGrasps(
-            path, f"object_friction in it must not be negative, and is {about.object_friction:g}"
+            path, f"object_friction in it must not be negative, and is {metadata.object_friction:g}"
         )
     for name in ("object_com", "com_in_mesh"):
-        if not all(abs(value) <= FARTHEST for value in getattr(about, name)):
+        if not all(abs(value) <= FARTHEST for value in getattr(metadata, name)):
             raise UnreadableGrasps(
                 path, f"{name} in it must be finite, and not more than {FARTHEST:g} m away"
             )
-    for origin in about.runs:
+    for origin in metadata.runs:
         try:
             _ = origin.asked
         except InputError as error:

@@ -1,6 +1,6 @@
 """Imports a file of grasps as poses that can be evaluated with a hand and an object at hand.
 
-The format is found by how a file begins. Of hands and objects only what poses depend on is made: no convex
+The first bytes of a file tell its format. Of hands and objects only what poses depend on is made: no convex
 parts, no mass.
 """
 
@@ -18,7 +18,7 @@ from qdgrasp_assets.catalog import check_object, find_gripper, find_object, obje
 from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_coordinator.export import acronym, graspgen, isaac, tabular
+from qdgrasp_coordinator.export import acronym, graspgen, tabular, yaml_formats
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, jaw_turn, turn_hand_axes
 from qdgrasp_coordinator.export.imported_grasps import (
     LONGEST,
@@ -42,28 +42,16 @@ class ObjectFrame:
     com_in_mesh: Floats
     """(3,) [m]: the centre of mass in the frame of the mesh, as scaled."""
     scale: float
-    """What the lengths in its mesh file are multiplied by to be metres."""
+    """Factor of the lengths in its mesh file, to metres."""
 
 
 def hand_named(name: str) -> SceneGripper:
-    """The gripper of the catalog with this name, or the one whose TOML file this is.
-
-    Raises
-    ------
-    UnknownName, UnknownKey, AssetError
-        As in `catalog.build_scene`.
-    """
+    """Find a gripper by its name in the catalog, or by its TOML file."""
     return find_gripper(name).on_carrier("paper")
 
 
 def object_frame(name: str, scale: float | None = None) -> ObjectFrame:
-    """The object of the catalog with this name, or the one whose mesh file this is.
-
-    Raises
-    ------
-    UnknownName, AssetError
-        As in `catalog.build_scene`.
-    """
+    """Find an object by its name in the catalog, or by its mesh file."""
     check_object(name)
     if name in object_names():
         com = find_object(RunSpec(gripper="", object=name, scale=scale)).com_in_mesh
@@ -81,35 +69,29 @@ HEAD_BYTES = 4096
 
 
 class ImportFormat(NamedTuple):
-    """One line of the table."""
+    """One format of files of grasps."""
 
     fits: Callable[[bytes], bool]
-    """Whether a file that begins so is one."""
+    """Returns True for the first bytes of a file of this format."""
     read: Callable[[Path], ImportedGrasps]
 
 
 def read_grasp_file(path: Path) -> ImportedGrasps:
-    """The grasps in a file of any format that is known, checked.
-
-    Raises
-    ------
-    Unusable
-        It cannot be read, is of no known format, is damaged, or tells what cannot be.
-    """
+    """Read and check the grasps in a file of any known format."""
     head = _read_head(path)
     for reader in READERS:
         if reader.fits(head):
             try:
-                told = reader.read(path)
-                check_grasps(path, told)
+                imported = reader.read(path)
+                check_grasps(path, imported)
             except MemoryError:
                 raise UnreadableGrasps(path, "there is not enough memory for it") from None
-            return told
+            return imported
     raise UnreadableGrasps(path, f"it is of none of the formats that are read: {KNOWN_FORMATS}")
 
 
 def _read_head(path: Path) -> bytes:
-    """How a file begins, if it is one that may be read."""
+    """Read the first bytes of a file, if it is one that may be read."""
     try:
         if path.is_dir():
             raise UnreadableGrasps(
@@ -130,7 +112,7 @@ def _read_head(path: Path) -> bytes:
 
 
 class JsonKeys(msgspec.Struct):
-    """What tells JSON files from each other."""
+    """The key by which formats of JSON are told apart."""
 
     grasps: msgspec.Raw = msgspec.Raw(b"")
 
@@ -144,9 +126,8 @@ def _read_json(path: Path) -> ImportedGrasps:
 
 
 def _refuse_csv(path: Path) -> ImportedGrasps:
-    raise UnreadableGrasps(
-        path, "it is CSV of `qdgrasp export`, which is not read back; export parquet instead"
-    )
+    reason = "it is CSV of `qdgrasp export`, which is not read back; export parquet instead"
+    raise UnreadableGrasps(path, reason)
 
 
 READERS = (
@@ -154,7 +135,7 @@ READERS = (
     ImportFormat(lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), acronym.read),
     ImportFormat(lambda head: head.startswith(tabular.MAGIC), tabular.read_parquet),
     ImportFormat(lambda head: head.lstrip().startswith(b"{"), _read_json),
-    ImportFormat(lambda head: b"\0" not in head, isaac.read),
+    ImportFormat(lambda head: b"\0" not in head, yaml_formats.read_isaac),
 )
 
 
@@ -165,133 +146,114 @@ MOST_SHOWN = 5  # Names in a note, at most
 
 @dataclass(frozen=True)
 class ImportedPoses:
-    """Poses of a hand's root link in the object's centre-of-mass frame, as `qdgrasp evaluate` takes them."""
+    """Poses of a hand's root link, CoM frame of the object, as `qdgrasp evaluate` takes them."""
 
     arrays: dict[str, NDArray[np.generic]]
-    """By name, as in an npz file of poses; beside them `name` and `confidence` as the file told them."""
+    """By name, as in an npz file of poses; beside them the file's `name` and `confidence`."""
     notes: tuple[str, ...]
-    """What is not as the file says, a sentence each."""
-    about: GraspMetadata | None
-    """What the file says of itself, if it is one of ours."""
+    """Differences from what the file says, a sentence each."""
+    metadata: GraspMetadata | None
+    """Of a file of ours."""
     mass: float | None
-    """Of the object, as the file says [kg]; None: it does not."""
+    """Of the object [kg]; None: the file does not say it."""
     friction: float | None
-    """The same of its lateral friction."""
+    """Lateral coefficient of the object; None: the file does not say it."""
 
     def __len__(self) -> int:
         return len(self.arrays["name"])
 
     def write(self, out: OutFile) -> None:
-        """Write the poses.
-
-        Raises
-        ------
-        DiskFull, OutputError
-            They cannot be written.
-        """
+        """Write the poses as an npz file."""
         with out.writing() as made, made.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **self.arrays)
 
 
 def import_poses(
-    path: Path, hand: SceneGripper, thing: ObjectFrame, frame: Frame | None = None
+    path: Path, hand: SceneGripper, body: ObjectFrame, frame: Frame | None = None
 ) -> ImportedPoses:
-    """The grasps in a file, for a hand and an object.
+    """Read the grasps in a file as poses of a hand on an object.
 
-    Parameters
-    ----------
-    frame
-        In which frame of the object the file tells poses; None: as it says, or that of the mesh.
-
-    Raises
-    ------
-    Unusable
-        The file cannot be read, says that poses are told in another frame, or names synergies that the hand
-        does not have.
+    `frame` is that of the object in which the file gives poses; None: as it says, or that of the mesh. Raises
+    UnreadableGrasps if the file cannot be read, says that poses are in another frame, or names synergies that
+    the hand does not have.
     """
-    told = read_grasp_file(path)
-    _check_frame(path, told, frame)
-    poses = _root_poses(told, hand, thing, frame)
-    check_positions(path, told.names, poses)
+    imported = read_grasp_file(path)
+    metadata = imported.metadata
+    if metadata and frame not in (None, metadata.frame):
+        reason = f"it says that its poses are told in the object's {metadata.frame} frame; leave --frame out"
+        raise UnreadableGrasps(path, reason)
+    poses = _root_poses(imported, hand, body, frame)
+    check_positions(path, imported.names, poses)
+    unknown = np.full(len(imported), np.nan)  # the open posture
+    free = [imported.start_positions.get(joint.name, unknown) for joint in hand.free_joints]
     arrays: dict[str, NDArray[np.generic]] = {
         "base_position": poses[:, :3].astype(np.float32),
         "base_quaternion_xyzw": poses[:, 3:].astype(np.float32),
-        "synergy": _synergy_labels(path, told, hand),
-        "spread": _spreads(told, hand),
-        "name": told.names,
-        "confidence": np.full(len(told), np.nan) if told.confidence is None else told.confidence,
+        "synergy": _synergy_labels(path, imported, hand),
+        "spread": np.stack(free, axis=1) if free else np.zeros((len(imported), 0)),
+        "name": imported.names,
+        "confidence": np.full(len(imported), np.nan) if imported.confidence is None else imported.confidence,
     }
-    return ImportedPoses(arrays, tuple(_notes(told, hand, thing)), told.about, told.mass, told.friction)
+    return ImportedPoses(
+        arrays, tuple(_notes(imported, hand, body)), imported.metadata, imported.mass, imported.friction
+    )
 
 
-def _check_frame(path: Path, told: ImportedGrasps, frame: Frame | None) -> None:
-    if told.about and frame not in (None, told.about.frame):
-        raise UnreadableGrasps(
-            path,
-            f"it says that its poses are told in the object's {told.about.frame} frame; leave --frame out",
-        )
-
-
-def _root_poses(told: ImportedGrasps, hand: SceneGripper, thing: ObjectFrame, frame: Frame | None) -> Floats:
-    """(n, 7): of the root link, in the centre-of-mass frame."""
-    poses = turn_hand_axes(told.poses, conjugate(jaw_turn(hand)[None])[0]) if told.is_turned else told.poses
-    source = told.frame or frame or MESH
-    known = np.array(told.about.com_in_mesh) if told.about else thing.com_in_mesh
-    if source == COM and np.abs(known - thing.com_in_mesh).max() < POSE_TOLERANCE:
+def _root_poses(
+    imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame, frame: Frame | None
+) -> Floats:
+    """Return the poses (n, 7) of the root link, in the centre-of-mass frame."""
+    poses = (
+        turn_hand_axes(imported.poses, conjugate(jaw_turn(hand)[None])[0])
+        if imported.has_jaw_axes
+        else imported.poses
+    )
+    source = imported.frame or frame or MESH
+    known = np.array(imported.metadata.com_in_mesh) if imported.metadata else body.com_in_mesh
+    if source == COM and np.abs(known - body.com_in_mesh).max() < POSE_TOLERANCE:
         return poses
-    return change_frame(change_frame(poses, known, source, MESH), thing.com_in_mesh, MESH, COM)
+    return change_frame(change_frame(poses, known, source, MESH), body.com_in_mesh, MESH, COM)
 
 
-def _synergy_labels(path: Path, told: ImportedGrasps, hand: SceneGripper) -> NDArray[np.int64]:
-    """The label (n,) of each synergy; none is told: all driven joints close."""
+def _synergy_labels(path: Path, imported: ImportedGrasps, hand: SceneGripper) -> NDArray[np.int64]:
+    """Return the label (n,) of each synergy; without one all driven joints close."""
     names = [synergy.name for synergy in hand.synergies]
-    if told.synergies is None:
-        return np.full(len(told), NO_SYNERGY)
+    if imported.synergies is None:
+        return np.full(len(imported), NO_SYNERGY)
     labels = {name: label for label, name in enumerate(names)} | {"": NO_SYNERGY}
-    for name in np.unique(told.synergies).tolist():
+    for name in np.unique(imported.synergies).tolist():
         if name not in labels:
             known = ", ".join(names) or "none"
             raise UnreadableGrasps(path, f"it names synergy '{name}'; the gripper '{hand.name}' has {known}")
-    return np.array([labels[name] for name in told.synergies.tolist()], dtype=np.int64)
+    return np.array([labels[name] for name in imported.synergies.tolist()], dtype=np.int64)
 
 
-def _spreads(told: ImportedGrasps, hand: SceneGripper) -> Floats:
-    """What free joints start from (n, k) [rad]; NaN: the open posture."""
-    unknown = np.full(len(told), np.nan)
-    free = [told.starts.get(joint.name, unknown) for joint in hand.free_joints]
-    return np.stack(free, axis=1) if free else np.zeros((len(told), 0))
-
-
-def _notes(told: ImportedGrasps, hand: SceneGripper, thing: ObjectFrame) -> Iterator[str]:
-    """What is not as the file says, a sentence each."""
-    if (
-        told.scale is not None
-        and abs(told.scale / thing.scale - 1) > VALUE_TOLERANCE
-        and not _is_built_in(told)
-    ):
+def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> Iterator[str]:
+    """Yield a sentence for each difference from what the file says."""
+    is_built_in = imported.metadata is not None and not imported.metadata.object_file
+    scale = imported.scale
+    if scale is not None and abs(scale / body.scale - 1) > VALUE_TOLERANCE and not is_built_in:
         yield (
-            f"The file scales its mesh by {told.scale:.16g}, and here it is scaled by {thing.scale:.16g}: if "
-            f"it is the same mesh, add --scale {told.scale:.16g}."
+            f"The file scales its mesh by {scale:.16g}, and here it is scaled by {body.scale:.16g}: if "
+            f"it is the same mesh, add --scale {scale:.16g}."
         )
-    if told.gripper not in (None, hand.name) or told.link not in (None, hand.base_link):
-        link = "" if told.link is None else f" of link '{told.link[:LONGEST]}'"
-        owner = "" if told.gripper is None else f" of gripper '{told.gripper[:LONGEST]}'"
+    if imported.gripper not in (None, hand.name) or imported.link not in (None, hand.base_link):
+        link = "" if imported.link is None else f" of link '{imported.link[:LONGEST]}'"
+        owner = "" if imported.gripper is None else f" of gripper '{imported.gripper[:LONGEST]}'"
         yield (
             f"The file tells poses{link}{owner}; they are taken for those of link '{hand.base_link}' of "
             f"gripper '{hand.name}'."
         )
     known = {joint.name for joint in hand.joints}
-    if unknown := [name for name in dict.fromkeys((*told.starts, *told.joints)) if name not in known]:
+    if unknown := [
+        name for name in dict.fromkeys((*imported.start_positions, *imported.joints)) if name not in known
+    ]:
         some = first_few(unknown, MOST_SHOWN)
         yield f"The file names joints that gripper '{hand.name}' does not have: {some}; they are left aside."
-    about = told.about
-    if about and np.abs(np.array(about.com_in_mesh) - thing.com_in_mesh).max() >= POSE_TOLERANCE:
-        name = about.object[:LONGEST]
+    metadata = imported.metadata
+    if metadata and np.abs(np.array(metadata.com_in_mesh) - body.com_in_mesh).max() >= POSE_TOLERANCE:
+        name = metadata.object[:LONGEST]
         yield (
             f"The object '{name}' of the file has its centre of mass elsewhere in its mesh, "
             "so it is not the same object."
         )
-
-
-def _is_built_in(told: ImportedGrasps) -> bool:
-    return told.about is not None and not told.about.object_file

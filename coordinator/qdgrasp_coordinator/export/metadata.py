@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Struct
 
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
+from qdgrasp_assets.scene import SceneGripper, SceneObject
 from qdgrasp_coordinator.export.frames import COM, Frame, jaw_turn, to_matrices, turn_hand_axes
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.storage.journal import Journal
@@ -28,7 +28,7 @@ ETA_WORDS = (
 )
 MESH_FILE = "the mesh file"
 MESH_WRITTEN = "the mesh that `qdgrasp export --format graspgen --frame mesh` writes"
-"""Of an object that is built in or from the asset path."""
+"""Mesh of an object that is built in or from the asset path."""
 OBJECT_FRAMES: dict[Frame, str] = {
     "mesh": "that of {}: its origin and axes, its lengths times object_scale",
     "com": "origin at the centre of mass, axes of {}",
@@ -43,38 +43,38 @@ class SourceRun(Struct, frozen=True, kw_only=True):
     run: str
     """The name of its folder."""
     digest: str
-    """The sha256 over its rows, as `qdgrasp digest` prints it; of a run in progress over those by now."""
+    """The sha256 over its rows, as `qdgrasp digest` prints it; of a run in progress by now."""
     spec: str
-    """Its spec as TOML: files by their names alone, and without the poses of one that scored given ones."""
+    """Its spec as TOML, without folders of its files and without given poses."""
 
     @property
     def asked(self) -> RunSpec:
-        """The spec."""
+        """The spec as it was asked for."""
         return from_toml(self.spec, self.run)
 
 
 class GraspMetadata(Struct, frozen=True, kw_only=True):
-    """What a file says of itself. Lengths are metres."""
+    """Metadata of a file of grasps. Lengths are metres."""
 
     qdgrasp: str
     """The version that wrote it."""
     gripper: str
     gripper_frame: str
-    """The link of the hand whose poses are told."""
+    """The hand's link that has the poses."""
     gripper_axes: str
-    """How the told axes lie on that link."""
+    """Orientation of the pose's axes on that link."""
     gripper_source: str
     """"built in", "asset path" or a file's name."""
     gripper_licence: str
     gripper_sha256: str = ""
-    """Of what a scene bundle holds of it; empty in a file of an earlier version."""
+    """Digest of its part of a scene bundle; empty in a file of an earlier version."""
     object: str
     object_file: str
     """The mesh file's name; empty for an object that is built in or from the asset path."""
     object_scale: float
-    """What the lengths in the mesh file are multiplied by to be metres."""
+    """Factor of the lengths in the mesh file, to metres."""
     object_frame: str
-    """In words, what `frame` says."""
+    """Meaning of `frame` in words."""
     frame: Frame
     """"mesh" or "com"."""
     object_com: tuple[float, float, float]
@@ -88,11 +88,11 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     object_source: str
     object_licence: str
     object_sha256: str = ""
-    """The same."""
+    """Digest of its part of a scene bundle; empty in a file of an earlier version."""
     collision_parts: str
-    """Where the convex parts that were simulated came from."""
+    """Source of the convex parts that were simulated."""
     quaternions: str
-    """The order in which this file has their components."""
+    """Order of their components in this file."""
     units: str = UNITS
     protocol: str
     """The evaluation protocol."""
@@ -100,30 +100,30 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     grasp: str = GRASP_WORDS
     fitness: str = FITNESS_MEANING
     confidence: str
-    """What it is, 0 to 1; higher is better."""
+    """Its meaning, 0 to 1; higher is better."""
     scene: str
     """sha256 of the scene bundle."""
     runs: tuple[SourceRun, ...]
 
     @property
     def values(self) -> dict[str, Any]:
-        """As plain values."""
+        """The fields as plain values."""
         values: dict[str, Any] = msgspec.to_builtins(self)
         return values
 
     @property
     def json(self) -> str:
-        """As one JSON object."""
+        """The fields as one JSON object."""
         return msgspec.json.encode(self).decode()
 
-    def told(self, *, axes: str | None = None, quaternions: str | None = None) -> "GraspMetadata":
-        """The same for a file with these axes of the hand, and this order of quaternions."""
+    def with_axes(self, *, axes: str | None = None, quaternions: str | None = None) -> "GraspMetadata":
+        """Return the same for other axes of the hand, or another order of quaternions."""
         changed = {"gripper_axes": axes, "quaternions": quaternions}
-        return msgspec.structs.replace(self, **{name: told for name, told in changed.items() if told})
+        return msgspec.structs.replace(self, **{name: words for name, words in changed.items() if words})
 
 
 def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMetadata:
-    """What a file of grasps from a run's folder says, told in a frame of the object."""
+    """Make the metadata of a file of grasps from a run's folder, in a frame of the object."""
     scene = grasps.scene
     hand, body = scene.gripper, scene.object
     file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
@@ -153,17 +153,11 @@ def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMeta
         collision_parts=body.collision_source,
         quaternions=XYZW,
         protocol=scene.protocol,
-        confidence=_confidence(scene),
+        confidence=f"eta, {ETA_WORDS}; where it is not known fitness / 2"
+        if trial_count(scene.protocol)
+        else "fitness / 2",
         scene=bundle,
         runs=runs,
-    )
-
-
-def _confidence(scene: Scene) -> str:
-    return (
-        f"eta, {ETA_WORDS}; where it is not known fitness / 2"
-        if trial_count(scene.protocol)
-        else "fitness / 2"
     )
 
 
@@ -178,32 +172,32 @@ def _source_runs(folder: RunFolder, journal: Journal) -> tuple[SourceRun, ...]:
 
 
 def _public_spec(spec: RunSpec) -> str:
-    """A spec as others may read it: it does not tell in which folders the files of its author are."""
+    """Write a spec without the folders of its author's files, and without poses."""
     names = {name: Path(getattr(spec, name)).name for name in ("gripper", "object")}
     return to_toml(msgspec.structs.replace(spec, poses=None, **names))
 
 
 def _part_digest(part: SceneGripper | SceneObject) -> str:
-    """The sha256 over the bytes of a part of a scene, as they are in its bundle."""
+    """Return the sha256 over the bytes of a part of a scene, as they are in its bundle."""
     values = msgspec.to_builtins(part, builtin_types=(bytes,), order="sorted")
     return hashlib.sha256(msgpack.packb(values, use_bin_type=True)).hexdigest()
 
 
 def _printable(text: str) -> str:
-    """A text without characters that control, which formats have no place for; with its lines."""
+    """Remove control characters, which formats have no place for; lines stay."""
     return "".join(letter for letter in text if letter.isprintable() or letter == "\n")
 
 
 MATRIX_WORDS = "none: rotations are matrices, columns are the axes of the hand"
 
 
-def jaw_transforms(grasps: Grasps, about: GraspMetadata) -> Floats:
-    """(n, 4, 4): where the turned axes are in the object's frame [m]."""
-    return to_matrices(turn_hand_axes(grasps.poses(about.frame), jaw_turn(grasps.scene.gripper)))
+def jaw_transforms(grasps: Grasps, metadata: GraspMetadata) -> Floats:
+    """(n, 4, 4): the turned axes of the hand in the object's frame [m]."""
+    return to_matrices(turn_hand_axes(grasps.poses(metadata.frame), jaw_turn(grasps.scene.gripper)))
 
 
-def jaw_metadata(about: GraspMetadata, gripper: SceneGripper) -> GraspMetadata:
-    """What such a file says of its axes."""
+def jaw_metadata(metadata: GraspMetadata, gripper: SceneGripper) -> GraspMetadata:
+    """Describe the turned axes in the metadata."""
     across = (
         f"x from one finger to the other, along ({join_numbers(gripper.jaw.axis)}) of it"
         if gripper.jaw
@@ -215,4 +209,4 @@ def jaw_metadata(about: GraspMetadata, gripper: SceneGripper) -> GraspMetadata:
         f"({join_numbers(gripper.approach_axis)}) of the "
         f"link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
     )
-    return about.told(axes=words, quaternions=MATRIX_WORDS)
+    return metadata.with_axes(axes=words, quaternions=MATRIX_WORDS)

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_coordinator.export.frames import Frame
+from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.export.imported_grasps import LONGEST, UnreadableGrasps
 
-DecimalLines = list[list[str]]
-"""Numbers of a table as text, line by line."""
+DecimalLines = list[list[str]]  # Numbers of a table as text, line by line
 
 
 def table_decimals(table: NDArray[np.floating]) -> DecimalLines:
-    """The decimals of a table (n, k), line by line."""
+    """Write a table (n, k) as decimals, line by line."""
     flat, width = shortest_decimals(table.ravel()), table.shape[1]
     return (
         [flat[start : start + width] for start in range(0, len(flat), width)] if width else [[]] * len(table)
@@ -24,7 +25,7 @@ def table_decimals(table: NDArray[np.floating]) -> DecimalLines:
 
 
 def shortest_decimals(numbers: NDArray[np.floating]) -> list[str]:
-    """The shortest decimals that give back each of some numbers (n,), in their own precision.
+    """Write numbers (n,) as the shortest decimals that give them back, in their precision.
 
     Always with a point and never with an exponent: `1e-05` is a word, not a number, to readers of YAML 1.1.
     """
@@ -34,8 +35,18 @@ def shortest_decimals(numbers: NDArray[np.floating]) -> list[str]:
     return [word if "." in word and "e" not in word else _without_exponent(word) for word in words]
 
 
+def grasp_decimals(
+    grasps: Grasps, frame: Frame
+) -> Iterator[tuple[int, str, list[str], list[str], list[str]]]:
+    """Yield number, confidence, pose, joints and pregrasp joints of each grasp as decimals."""
+    tables = grasps.confidence[:, None], grasps.poses(frame), grasps.joints, grasps.pregrasp
+    confidences, poses, joints, starts = (table_decimals(table) for table in tables)
+    words = [confidence for (confidence,) in confidences]
+    return zip(grasps.numbers.tolist(), words, poses, joints, starts, strict=True)
+
+
 def _without_exponent(word: str) -> str:
-    """The same of a word of Arrow's with an exponent, or without a point."""
+    """Rewrite a word of Arrow's that has an exponent, or no point."""
     if "e" in word:
         return np.format_float_positional(float(word), trim="0")
     return f"{word}.0" if word[-1].isdecimal() else word  # nan and inf
@@ -46,22 +57,21 @@ RESERVED_WORDS = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 DEEPEST = 16  # Levels of lists and mappings in a file that is read
 LARGEST_YAML = 1 << 28  # Bytes of a file that is read
 
-Tree = str | list["Tree"] | dict[str, "Tree"]
-"""What a file holds; every number is still a word."""
+Tree = str | list["Tree"] | dict[str, "Tree"]  # What a file holds; every number is still a word
 
 
 def yaml_word(name: str) -> str:
-    """A word as YAML has it, quoted where it must be."""
+    """Write a word as YAML has it, quoted where it must be."""
     is_plain = PLAIN_WORD.fullmatch(name) and name.lower() not in RESERVED_WORDS
     return name if is_plain else json.dumps(name, ensure_ascii=False)
 
 
 def yaml_block(values: dict[str, Any]) -> str:
-    """A mapping as lines of YAML; lists of numbers in one line, texts of several lines as such."""
+    """Write a mapping as YAML; lists of numbers in one line, texts of several lines as such."""
     import yaml
 
     class Dumper(yaml.SafeDumper):
-        """With lists of numbers in one line, and texts of several lines as blocks."""
+        """Dumps lists of numbers in one line, and texts of several lines as blocks."""
 
     def sequence(dumper: yaml.SafeDumper, values: Any) -> yaml.SequenceNode:
         is_plain = not any(isinstance(value, dict | str) for value in values)
@@ -81,15 +91,10 @@ def yaml_block(values: dict[str, Any]) -> str:
 
 
 def read_yaml(path: Path) -> Tree:
-    """What a YAML file of one document holds.
+    """Read a YAML file of one document; every number stays a word.
 
     Aliases are refused, since a small file of them can stand for a huge one, and so are tags: nothing in it
     is ever made into an object.
-
-    Raises
-    ------
-    Unusable
-        It cannot be read, is not YAML, or is refused.
     """
     import yaml
 
@@ -109,7 +114,7 @@ def read_yaml(path: Path) -> Tree:
 
 
 def _build_tree(path: Path, events: Iterator[Any]) -> Tree:
-    """Build what events tell of, without recursion."""
+    """Build lists and mappings from events, without recursion."""
     import yaml
 
     values = (yaml.ScalarEvent, yaml.MappingStartEvent, yaml.SequenceStartEvent)

@@ -1,7 +1,7 @@
-"""Figures of `qdgrasp bench`: what workers of this machine do in a second, by regime.
+"""Figures of `qdgrasp bench`: evaluations per second of this machine's workers, by regime.
 
-Anywhere, most poses overlap or miss, and are rejected soon; near grasps, most are shaken to the end. A run
-is a mixture of both, so that these two regimes say what any run takes.
+Anywhere, most poses overlap or miss, and are rejected soon; near grasps, most are shaken to the end. A run is
+a mixture of both, so that these two regimes say what any run takes.
 """
 
 import importlib.metadata
@@ -61,12 +61,12 @@ class RegimeSearch:
         self._asked = 0
         self._looked_at = 0
 
-    def turn(self, regime: PoseRegime, population: int) -> None:
+    def start_regime(self, regime: PoseRegime, population: int) -> None:
         """From the next generation on, ask `population` genomes of another regime at a time."""
         self.regime, self.population, self.since = regime, population, self._asked
 
     @property
-    def has_looked(self) -> bool:
+    def has_parents(self) -> bool:
         """True if enough grasps are known, or enough poses were looked at."""
         return len(self.parents) == PARENTS or self._looked_at >= MOST_LOOKED_AT
 
@@ -77,23 +77,23 @@ class RegimeSearch:
         return np.concatenate([none, *self._parents])[:PARENTS]
 
     def ask(self, generation: int) -> Genomes:
-        """The next generation: (population, d)."""
+        """Return the next generation: (population, d)."""
         self._asked = generation + 1
         random = keyed_generator(0, self.regime.value, generation)
         if self.regime is PoseRegime.NEAR:
             chosen = self.parents[random.integers(len(self.parents), size=self.population)]
-            return np.clip(chosen + random.normal(0.0, GENE_SIGMA, chosen.shape), -1.0, 1.0).astype(
-                np.float32
-            )
+            moved = chosen + random.normal(0.0, GENE_SIGMA, chosen.shape)
+            return np.clip(moved, -1.0, 1.0).astype(np.float32)
         genomes = random.uniform(-1.0, 1.0, (self.population, len(self._layout)))
-        if self.regime is PoseRegime.FACING:
-            genomes[:, self._layout.names.index("nu")] *= GREATEST_NU / pi
-            genomes[:, self._layout.names.index("nu")] -= 1.0 - GREATEST_NU / pi
+        if self.regime is PoseRegime.FACING:  # nu's gene from -1 to what stands for the greatest nu
+            nu = self._layout.names.index("nu")
+            genomes[:, nu] *= GREATEST_NU / pi
+            genomes[:, nu] -= 1.0 - GREATEST_NU / pi
         return genomes.astype(np.float32)
 
     def tell(self, generation: int, rows: Rows) -> None:
         """Collect the first grasps."""
-        if not self.has_looked:
+        if not self.has_parents:
             self._looked_at += len(rows)
             self._parents.append(rows["genome"][rows["outcome"] >= Outcome.SHAKEN])
 
@@ -125,73 +125,72 @@ class Throughput:
 
 
 class ThroughputMeter:
-    """Notes every result; called in threads of the bus."""
+    """Collects the results that come back; called in threads of the bus."""
 
     def __init__(self) -> None:
-        self._ticks: list[ReturnedBatch] = []
+        self._batches: list[ReturnedBatch] = []
 
     @property
     def has_begun(self) -> bool:
         """True if any result came."""
-        return bool(self._ticks)
+        return bool(self._batches)
 
-    def take(self, sample: Sample) -> None:
+    def add(self, sample: Sample) -> None:
         """Note a result; anything else is passed over."""
         try:
             result = messages.decode(sample.payload, Result)
         except MessageError:
             return
-        self._ticks.append(returned_batch(result, time.monotonic()))
+        self._batches.append(returned_batch(result, time.monotonic()))
 
     def workers(self, since: int) -> int:
-        """Return the number of workers that gave a result of generation `since` or a later one."""
+        """Count the workers that gave a result of generation `since` or a later one."""
         return len(self._by_worker(since))
 
     def rows(self, since: int) -> int:
-        """Return the number of rows of generation `since` and of later ones that came back."""
-        return sum(tick.rows for ticks in self._by_worker(since) for tick in ticks)
+        """Count the rows of generation `since` and of later ones that came back."""
+        return sum(batch.rows for batches in self._by_worker(since) for batch in batches)
 
-    def lap(self, since: int, begin: float) -> Throughput:
+    def throughput(self, since: int, begin: float) -> Throughput:
         """Return the work done from `begin` on, of generation `since` and of later ones.
 
         A worker's own time goes from its last result until then, or from its first one, to the last that
         came, so that no part of a batch is counted. Workers that gave no result in that time are left out.
         """
-        laps = [lap for ticks in self._by_worker(since) if (lap := _worker_throughput(ticks, begin))]
+        each = [one for batches in self._by_worker(since) if (one := _worker_throughput(batches, begin))]
         nothing = Throughput(0, 0, 0.0, 0.0, 0, 0)
-        return Throughput(*(sum(column) for column in zip(*map(astuple, [nothing, *laps]), strict=True)))
+        return Throughput(*map(sum, zip(*map(astuple, [nothing, *each]), strict=True)))
 
     def _by_worker(self, since: int) -> list[list[ReturnedBatch]]:
         found: dict[str, list[ReturnedBatch]] = {}
-        for tick in list(self._ticks):
-            if tick.generation >= since:
-                found.setdefault(tick.wid, []).append(tick)
+        for batch in list(self._batches):
+            if batch.generation >= since:
+                found.setdefault(batch.wid, []).append(batch)
         return list(found.values())
 
 
-def _worker_throughput(ticks: list[ReturnedBatch], begin: float) -> Throughput | None:
+def _worker_throughput(batches: list[ReturnedBatch], begin: float) -> Throughput | None:
     """Return the work of one worker; None: nothing that has both a beginning and an end."""
-    start = max(sum(tick.at <= begin for tick in ticks), 1)
-    done = ticks[start:]
+    start = max(sum(batch.at <= begin for batch in batches), 1)
+    done = batches[start:]
     if not done:
         return None
-    rows = sum(tick.rows for tick in done)
+    rows = sum(batch.rows for batch in done)
     return Throughput(
         workers=1,
         rows=rows,
-        per_second=rows / (done[-1].at - ticks[start - 1].at),
-        cpu_seconds=sum(tick.cpu_seconds for tick in done),
-        overlaps=sum(tick.overlaps for tick in done),
-        successes=sum(tick.successes for tick in done),
+        per_second=rows / (done[-1].at - batches[start - 1].at),
+        cpu_seconds=sum(batch.cpu_seconds for batch in done),
+        overlaps=sum(batch.overlaps for batch in done),
+        successes=sum(batch.successes for batch in done),
     )
 
 
 def returned_batch(result: Result, now: float) -> ReturnedBatch:
     """Return the record of a result that came at `now`."""
     outcomes = np.frombuffer(result.columns.get("outcome", b""), np.uint8)
-    overlaps, successes = (outcomes == Outcome.OVERLAP).sum(), (outcomes >= Outcome.DROPPED).sum()
-    counts = int(overlaps), int(successes)
-    return ReturnedBatch(now, result.wid, result.generation, result.n, result.cpu_seconds, *counts)
+    counts = (outcomes == Outcome.OVERLAP).sum(), (outcomes >= Outcome.DROPPED).sum()
+    return ReturnedBatch(now, result.wid, result.generation, result.n, result.cpu_seconds, *map(int, counts))
 
 
 PACKAGES = ("qdgrasp", "pybullet", "numpy", "scipy", "ribs", "eclipse-zenoh")
@@ -219,7 +218,7 @@ class NodeInfo(Struct, frozen=True, kw_only=True):
 
 
 def node_info() -> NodeInfo:
-    """The node that this process is on."""
+    """Describe the node that this process is on."""
     return NodeInfo(
         processor=_processor_name(),
         cores=len(os.sched_getaffinity(0)),
@@ -303,10 +302,10 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
             yield _line("    of a core each", *(f"{pace.core_share:.0%}" for pace in paces))
             yield _line("    successes", *(f"{pace.success_share:.1%}" for pace in paces))
         yield f"  A worker starts in {self.start_seconds:.1f} s and takes {self.memory_bytes / 1e6:.0f} MB."
-        yield f"  {self.foretold}"
+        yield f"  {self.run_time_words}"
 
     @property
-    def foretold(self) -> str:
+    def run_time_words(self) -> str:
         """Predicted time of a run, in words."""
         times = [f"{duration(time)} if all are {regime}" for regime, time in self.run_seconds.items()]
         return (
@@ -335,17 +334,17 @@ class NodeFigures(Struct, frozen=True, kw_only=True):
         return "\n\n".join(["\n".join([f"{self.date}: {self.node.words}", *words]), *parts])
 
 
-def regime_rate(regime: PoseRegime, workers: int, lap: Throughput) -> RegimeRate:
-    """The pace of so many workers in one regime."""
+def regime_rate(regime: PoseRegime, workers: int, work: Throughput) -> RegimeRate:
+    """Return the speed of so many workers in one regime."""
     return RegimeRate(
         regime=regime.value,
         workers=workers,
-        evaluations=lap.rows,
-        per_second=lap.per_second,
-        per_cpu_second=lap.rows / lap.cpu_seconds,
-        core_share=lap.per_second * lap.cpu_seconds / lap.rows / workers,
-        overlap_share=lap.overlaps / lap.rows,
-        success_share=lap.successes / lap.rows,
+        evaluations=work.rows,
+        per_second=work.per_second,
+        per_cpu_second=work.rows / work.cpu_seconds,
+        core_share=work.per_second * work.cpu_seconds / work.rows / workers,
+        overlap_share=work.overlaps / work.rows,
+        success_share=work.successes / work.rows,
     )
 
 
@@ -362,7 +361,7 @@ def run_seconds(paces: Sequence[RegimeRate]) -> dict[str, float]:
 
 
 def duration(seconds: float) -> str:
-    """A time in words, to two figures or so."""
+    """Write a time in words, to two figures or so."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -15,7 +15,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.text import printable
 
-QUIET_INTERVAL = 5.0  # seconds between lines where nobody sees a moving one
+QUIET_INTERVAL = 5.0  # seconds between lines where there is no terminal
 
 
 class ProgressDisplay(Protocol):
@@ -82,7 +82,7 @@ class LineProgress:
 
     def say(self, sentence: str) -> None:
         """Print a line."""
-        print(sentence, file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints
+        _print_line(sentence)
 
 
 @contextmanager
@@ -113,36 +113,24 @@ def progress_messages() -> Iterator[Tell]:
 @contextmanager
 def repeat_latest(say: Tell, interval: float) -> Iterator[Tell]:
     """Yield a function for sentences; the latest is said every `interval` s, with its age."""
-    latest, over = _LatestMessage(), threading.Event()
+    latest, over = ("starting", time.monotonic()), threading.Event()
 
-    def speak() -> None:
+    def note(sentence: str) -> None:
+        nonlocal latest
+        latest = printable(sentence), time.monotonic()
+
+    def repeat() -> None:
         while not over.wait(interval):
-            say(latest.words)
+            sentence, since = latest
+            say(f"{sentence}, {time.monotonic() - since:.0f} s")
 
-    thread = threading.Thread(target=speak, name="telling", daemon=True)
+    thread = threading.Thread(target=repeat, name="repeat-latest", daemon=True)
     thread.start()
     try:
-        yield latest.hear
+        yield note
     finally:
         over.set()
         thread.join()
-
-
-class _LatestMessage:
-    """The latest sentence."""
-
-    def __init__(self) -> None:
-        self._heard = "starting", time.monotonic()
-
-    def hear(self, sentence: str) -> None:
-        """Store one."""
-        self._heard = printable(sentence), time.monotonic()
-
-    @property
-    def words(self) -> str:
-        """The sentence, and its age in seconds."""
-        sentence, since = self._heard
-        return f"{sentence}, {time.monotonic() - since:.0f} s"
 
 
 def _print_line(sentence: str) -> None:

@@ -1,4 +1,4 @@
-"""Restarts of a job's processes: what a death means, and which are started again."""
+"""Restarts of a job's processes: the meaning of a death, and which are started again."""
 
 import signal
 from collections import Counter
@@ -16,10 +16,10 @@ One that takes longer is killed, which loses nothing but its time.
 """
 
 
-def start_worker(crew: ProcessGroup, number: int, arguments: Iterable[str]) -> None:
+def start_worker(processes: ProcessGroup, number: int, arguments: Iterable[str]) -> None:
     """Start a worker that leaves before it would be killed."""
-    grace = ["--grace", f"{crew.members_grace:g}"]
-    crew.start(f"worker-{number}", "qdgrasp_worker.cli", [*arguments, *grace])
+    grace = ["--grace", f"{processes.members_grace:g}"]
+    processes.start(f"worker-{number}", "qdgrasp_worker.cli", [*arguments, *grace])
 
 
 COORDINATOR = "coordinator"
@@ -33,54 +33,49 @@ class RestartPolicy:
     """Decides whether a process that died is started again.
 
     A process that was killed, or that ended without a sentence, is started again after a while. A coordinator
-    that ended with a sentence has decided to; the job then ends with that sentence.
-
-    Parameters
-    ----------
-    hire_coordinator
-        Starts the coordinator again; None: there is no such process.
+    that ended with a sentence has decided to; the job then ends with that sentence. `start_coordinator`
+    starts it again; None: there is no such process.
     """
 
     def __init__(
-        self, crew: ProcessGroup, display: ProgressDisplay, hire_coordinator: Callable[[], None] | None = None
+        self,
+        processes: ProcessGroup,
+        display: ProgressDisplay,
+        start_coordinator: Callable[[], None] | None = None,
     ) -> None:
-        self._crew = crew
+        self._processes = processes
         self._display = display
-        self._hire_coordinator = hire_coordinator
-        self._hire_at: float | None = None
+        self._start_coordinator = start_coordinator
+        self._start_at: float | None = None
         self._deaths: Counter[str] = Counter()
         self._most = -1
         self.is_done = False
         """The coordinator ended with its job complete, or after the seconds that it was given."""
 
-    def progressed(self, figures: JobStatus) -> None:
+    def note_progress(self, figures: JobStatus) -> None:
         """Record the job's figures; progress resets the counts of deaths."""
         if figures.evaluations + figures.trials > self._most:
             self._most = figures.evaluations + figures.trials
             self._deaths.clear()
 
-    def look(self, now: float) -> None:
+    def check(self, now: float) -> None:
         """Count deaths, and restart the processes that may be.
 
-        Raises
-        ------
-        InputError
-            A process ended with a sentence that names bad input or environment.
-        EndedEarly
-            The coordinator decided to end, or was told to, or a process dies again and again.
+        Raises InputError if a process ended with a sentence that names bad input or environment, and
+        EndedEarly if the coordinator ended by decision or order, or a process dies again and again.
         """
-        for death in self._crew.exits():
+        for death in self._processes.exits():
             if death.name == COORDINATOR:
                 self._coordinator_died(death, now)
             elif not self.is_done:
-                self._member_died(death, now)
-        self._crew.restart_due(now)
-        if self._hire_coordinator is not None and self._hire_at is not None and now >= self._hire_at:
-            self._hire_at = None
-            self._hire_coordinator()
+                self._other_died(death, now)
+        self._processes.restart_due(now)
+        if self._start_coordinator is not None and self._start_at is not None and now >= self._start_at:
+            self._start_at = None
+            self._start_coordinator()
 
     def _coordinator_died(self, death: ProcessExit, now: float) -> None:
-        words = self._crew.last_error(death.name)
+        words = self._processes.last_error(death.name)
         if death.exit_code == InputError.exit_code:
             raise InputError(words)
         if words:
@@ -90,24 +85,24 @@ class RestartPolicy:
             return
         self._count(death)
         pause = back_off(self._deaths[death.name] - 1)
-        self._hire_at = now + pause
+        self._start_at = now + pause
         self._say(death, pause)
 
-    def _member_died(self, death: ProcessExit, now: float) -> None:
-        """A worker or the recorder died; a worker that ended well was asked to leave."""
+    def _other_died(self, death: ProcessExit, now: float) -> None:
+        """Restart a worker or the recorder; a worker that ended well was asked to leave."""
         if death.exit_code == 0:
             self._display.say(f"{death.name} has left")
             return
-        if death.exit_code == InputError.exit_code and self._hire_at is None:
-            raise InputError(self._crew.last_error(death.name))
+        if death.exit_code == InputError.exit_code and self._start_at is None:
+            raise InputError(self._processes.last_error(death.name))
         self._count(death)
-        self._say(death, self._crew.restart_later(death.name, now))
+        self._say(death, self._processes.restart_later(death.name, now))
 
     def _count(self, death: ProcessExit) -> None:
         self._deaths[death.name] += 1
         most = MOST_KILLS if death.exit_code in KILL_CODES else MOST_TRIES
         if self._deaths[death.name] > most:
-            words = self._crew.last_error(death.name)
+            words = self._processes.last_error(death.name)
             raise EndedEarly(
                 f"The {death.name} died {most + 1} times while the job got no further; "
                 f"the last time it {death.description}. {words}".strip()

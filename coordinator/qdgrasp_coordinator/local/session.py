@@ -28,126 +28,98 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 @dataclass(frozen=True)
 class LocalSession:
-    """A bus session and the processes started for a job; made by `opened`."""
+    """A bus session and the processes started for a job; made by `open_session`."""
 
     job: str
     """Its name on the bus."""
     bus: Bus
     endpoint: str
     """Address that processes connect to."""
-    proof: Sequence[str]
-    """Credential flags of the processes; empty: links are not encrypted."""
-    crew: ProcessGroup
+    credential_flags: Sequence[str]
+    """Flags of all processes; empty: links are not encrypted."""
+    processes: ProcessGroup
     display: ProgressDisplay
-    watch: RestartPolicy
+    restarts: RestartPolicy
 
-    def hire_recorder(self, out: Path) -> None:
+    def start_recorder(self, out: Path) -> None:
         """Start a recorder that writes to the folder of a job."""
-        self.crew.start(
-            "recorder", "qdgrasp_coordinator.cli.recorder_process", [*self._meeting, "--out", str(out)]
-        )
+        flags = [*self._connection_flags, "--out", str(out)]
+        self.processes.start("recorder", "qdgrasp_coordinator.cli.recorder_process", flags)
 
-    def hire_workers(self, count: int) -> None:
-        """Start workers."""
+    def start_workers(self, count: int) -> None:
+        """Start so many workers."""
         for number in range(count):
-            start_worker(self.crew, number, self._meeting)
+            start_worker(self.processes, number, self._connection_flags)
 
     def coordinate(
         self,
-        programme: RunQueue,
+        queue: RunQueue,
         make_record: Callable[[RunPlan], RowSink],
         stop: Stop,
         batch_size: int | None = None,
-        look: Callable[[], None] = lambda: None,
+        on_step: Callable[[], None] = lambda: None,
     ) -> None:
-        """Carry out a programme in this thread, until it is done or the job is ended.
+        """Carry out a queue of runs in this thread, until it is done or the job is ended.
 
-        Parameters
-        ----------
-        make_record
-            Makes the record that takes a run's rows.
-        batch_size
-            Rows in a batch; None: measured.
-        look
-            Called at every step.
-
-        Raises
-        ------
-        EndedEarly
-            The job was cancelled, or processes die again and again.
-        RunsFailed
-            Runs could not be carried out.
+        `make_record` makes the sink of a run's rows; `batch_size` is in rows, None: measured; `on_step` is
+        called at every step. Raises EndedEarly if the job was cancelled, or processes die again and again,
+        and RunsFailed if runs could not be carried out.
         """
         service = CoordinatorService(
-            self.bus,
-            stop,
-            job=self.job,
-            programme=programme,
-            make_record=make_record,
-            batch_size=batch_size,
+            self.bus, stop, job=self.job, programme=queue, make_record=make_record, batch_size=batch_size
         )
 
         def step(now: float) -> None:
             figures = service.figures(now)
-            self.watch.progressed(figures)
-            self.watch.look(now)
+            self.restarts.note_progress(figures)
+            self.restarts.check(now)
             self.display.show(figures)
-            look()
+            on_step()
 
         service.run(step)
 
     @property
-    def _meeting(self) -> list[str]:
-        return ["--connect", self.endpoint, "--job", self.job, *self.proof]
+    def _connection_flags(self) -> list[str]:
+        return ["--connect", self.endpoint, "--job", self.job, *self.credential_flags]
 
 
 @contextmanager
 def open_session(
-    job: str, logs: Path, display: ProgressDisplay, bus: ZenohBus, endpoint: str, proof: Sequence[str] = ()
+    job: str,
+    logs: Path,
+    display: ProgressDisplay,
+    bus: ZenohBus,
+    endpoint: str,
+    credential_flags: Sequence[str] = (),
 ) -> Iterator[LocalSession]:
     """Open a job's session; leaving it ends the started processes and the bus session.
 
-    Parameters
-    ----------
-    logs
-        The folder in which each process has a log.
-    bus
-        A session, opened here.
+    Each process has a log in the folder `logs`; `bus` is opened here.
     """
-    with bus, ProcessGroup(logs, GRACE) as crew:
-        yield LocalSession(job, bus, endpoint, proof, crew, display, RestartPolicy(crew, display))
+    with bus, ProcessGroup(logs, GRACE) as processes:
+        yield LocalSession(
+            job, bus, endpoint, credential_flags, processes, display, RestartPolicy(processes, display)
+        )
 
 
 def run_temporary_job(
     job: str,
-    programme: RunQueue,
+    queue: RunQueue,
     make_record: Callable[[RunPlan], RowSink],
-    team: LocalJobConfig,
+    config: LocalJobConfig,
     display: ProgressDisplay,
     stop: Stop,
 ) -> None:
-    """Carry out a programme with workers of this machine until it is done or a signal comes.
+    """Carry out a queue of runs with workers of this machine, until a signal comes.
 
-    Parameters
-    ----------
-    job
-        Its name on the bus, which no other process uses.
-    make_record
-        Makes the record that takes a run's rows.
-
-    Raises
-    ------
-    EndedEarly
-        Workers die again and again.
-    RunsFailed
-        Runs could not be carried out.
+    `job` is its name on the bus, which no other process uses. Raises as `LocalSession.coordinate`.
     """
     with (
         tempfile.TemporaryDirectory(prefix="qdgrasp-") as logs,
         open_session(job, Path(logs), display, *ZenohBus.embedded(None)) as here,
     ):
-        here.hire_workers(max(1, team.workers))
-        here.coordinate(programme, make_record, stop, team.batch_size)
+        here.start_workers(max(1, config.workers))
+        here.coordinate(queue, make_record, stop, config.batch_size)
 
 
 SCORING_JOB = "evaluate"
@@ -159,7 +131,7 @@ def score_poses(
     scene: Scene,
     bundle: Bundle,
     poses: HandPoses,
-    team: LocalJobConfig,
+    config: LocalJobConfig,
     display: ProgressDisplay,
     stop: Stop,
 ) -> Rows:
@@ -169,9 +141,9 @@ def score_poses(
     pipeline = Pipeline(
         search, shape, evaluations=len(poses), overlaps="count", trials=trial_count(spec.protocol)
     )
-    assignment = RunPlan(RUN, to_toml(spec).encode(), bundle, GIVEN, shape, pipeline, len(poses))
+    plan = RunPlan(RUN, to_toml(spec).encode(), bundle, GIVEN, shape, pipeline, len(poses))
     memory = MemorySink(shape)
     run_temporary_job(
-        SCORING_JOB, SingleRunQueue(lambda: assignment, len(poses)), lambda _: memory, team, display, stop
+        SCORING_JOB, SingleRunQueue(lambda: plan, len(poses)), lambda _: memory, config, display, stop
     )
     return memory.rows

@@ -250,7 +250,7 @@ class FolderRecords:
         folder = self._collection.run(job, run)
         with folder.journal() as journal:
             origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
-            legend = self._legends.of(folder, journal)
+            legend = self._legends.get(folder, journal)
             return RecordPage(origin, *success_pages.success_page(journal, first, legend), journal.count)
 
     def entries(self, job: str) -> RunListings:

@@ -208,7 +208,7 @@ class QueryServer:
         try:
             with Journal.open(path) as journal:
                 self._homes[journal.scene] = path
-                context = self._contexts.of(RunFolder(path), journal)
+                context = self._contexts.get(RunFolder(path), journal)
                 page, upto = success_page(journal, _number(query, "from"), context)
                 return messages.encode(page_to_message(page, upto, journal, run))
         except FolderError as error:

@@ -31,7 +31,7 @@ class LabelSpot(NamedTuple):
 
     x: float
     y: float
-    side: Anchor
+    anchor: Anchor
 
 
 class PixelBox(NamedTuple):
@@ -42,7 +42,7 @@ class PixelBox(NamedTuple):
     right: float
     bottom: float
 
-    def meets(self, other: "PixelBox") -> bool:
+    def overlaps(self, other: "PixelBox") -> bool:
         """Return whether two boxes overlap."""
         beside = self.right <= other.left or other.right <= self.left
         return not (beside or self.bottom <= other.top or other.bottom <= self.top)
@@ -69,61 +69,45 @@ def arrange_labels(
     width: float,
     length: Callable[[Label], float],
 ) -> Iterator[tuple[Label, LabelSpot]]:
-    """Labels with their spots, those that are needed first; each at its first spot that is free.
+    """Yield labels with their spots, needed ones first, each at its first spot that is free.
 
-    Parameters
-    ----------
-    lines
-        Boxes that all labels keep clear of.
-    dots
-        Boxes that labels which may be left out keep clear of; in a film dots come and go, and names stay.
-    width
-        Of the picture, beyond which no letter lies.
-    length
-        Returns the length of a label.
+    No label stands on the boxes `lines`, and none that may be left out on the boxes `dots`: in a film dots
+    come and go, and names stay. No letter lies beyond the `width` of the picture; `length` returns that of a
+    label.
     """
     taken, dots = list(lines), list(dots)
     for label in sorted(labels, key=lambda label: not label.is_needed):
         others = taken if label.is_needed else taken + dots
         spots = [_shifted_inside(spot, length(label), width) for spot in label.spots]
-        free = [spot for spot in spots if not any(map(_label_box(label, spot, length(label)).meets, others))]
+        free = [
+            spot for spot in spots if not any(map(_label_box(label, spot, length(label)).overlaps, others))
+        ]
         for spot in free[:1] or spots[: label.is_needed]:
             taken.append(_label_box(label, spot, length(label)))
             yield label, spot
 
 
 def _shifted_inside(spot: LabelSpot, length: float, width: float) -> LabelSpot:
-    """The spot, or the nearest one from which no letter is cut off."""
-    before = ANCHOR_SHARES[spot.side] * length
+    """Return the spot, or the nearest one from which no letter is cut off."""
+    before = ANCHOR_SHARES[spot.anchor] * length
     return spot._replace(x=min(max(spot.x, before + EDGE_MARGIN), width - (length - before) - EDGE_MARGIN))
 
 
 def _label_box(label: Label, spot: LabelSpot, length: float) -> PixelBox:
-    left, half = spot.x - ANCHOR_SHARES[spot.side] * length, LINE_HEIGHT * label.size / 2
-    return PixelBox(
-        left - LABEL_MARGIN,
-        spot.y - half - LABEL_MARGIN,
-        left + length + LABEL_MARGIN,
-        spot.y + half + LABEL_MARGIN,
-    )
+    left, half = spot.x - ANCHOR_SHARES[spot.anchor] * length, LINE_HEIGHT * label.size / 2
+    top, bottom = spot.y - half - LABEL_MARGIN, spot.y + half + LABEL_MARGIN
+    return PixelBox(left - LABEL_MARGIN, top, left + length + LABEL_MARGIN, bottom)
 
 
 SUPERSAMPLING = 3  # Factor by which lines are drawn finer than they are shown
 FONT_FILE = "DejaVuSans.ttf"
 LINE_BOX_STEP = 2.0  # Spacing of the boxes along a line that words keep clear of [pixels]
 HALO_COLOUR = "white"  # Colour behind words, so that they can be read over anything
-PixelPoint = tuple[float, float]
-"""Column and row."""
+PixelPoint = tuple[float, float]  # Column and row
 
 
 class Canvas:
-    """A picture that is drawn over.
-
-    Parameters
-    ----------
-    image
-        (rows, columns, 3), uint8.
-    """
+    """A picture (rows, columns, 3), uint8, that is drawn over."""
 
     def __init__(self, image: NDArray[np.uint8]) -> None:
         self._image = Image.fromarray(np.ascontiguousarray(image)).convert("RGBA")
@@ -139,76 +123,61 @@ class Canvas:
         """Columns and rows."""
         return self._image.size
 
-    def line(self, start: PixelPoint, end: PixelPoint, colour: str, width: float) -> None:
+    def draw_line(self, start: PixelPoint, end: PixelPoint, colour: str, width: float) -> None:
         """Draw a line."""
         self._pen.line(
             [*_supersampled(start), *_supersampled(end)], fill=colour, width=round(SUPERSAMPLING * width)
         )
 
-    def arrow(self, start: PixelPoint, end: PixelPoint, colour: str, width: float) -> None:
+    def draw_arrow(self, start: PixelPoint, end: PixelPoint, colour: str, width: float) -> None:
         """Draw a line that ends in a tip."""
         way = np.subtract(end, start)
         length = float(np.hypot(*way))
-        if length < 1.0:  # it points at whoever looks
-            self.disc(start, width, colour)
+        if length < 1.0:  # it points at the viewer
+            self.draw_disc(start, width, colour)
             return
         along = way / length
         across = np.array([-along[1], along[0]])
         tip = min(4.0 * width, 0.6 * length)
         neck = np.array(end) - tip * along
-        self.line(start, tuple(neck), colour, width)
+        self.draw_line(start, tuple(neck), colour, width)
         corners = [end, tuple(neck + 0.42 * tip * across), tuple(neck - 0.42 * tip * across)]
         self._pen.polygon([_supersampled(corner) for corner in corners], fill=colour)
 
-    def disc(self, middle: PixelPoint, radius: float, colour: str) -> None:
+    def draw_disc(self, middle: PixelPoint, radius: float, colour: str) -> None:
         """Draw a disc with a white rim."""
         self._dots.append(PixelBox(*np.subtract(middle, radius), *np.add(middle, radius)))
+        x, y = _supersampled(middle)
         for reach, fill in ((radius + 1.0, HALO_COLOUR), (radius, colour)):
-            x, y = _supersampled(middle)
-            self._pen.ellipse(
-                [
-                    x - SUPERSAMPLING * reach,
-                    y - SUPERSAMPLING * reach,
-                    x + SUPERSAMPLING * reach,
-                    y + SUPERSAMPLING * reach,
-                ],
-                fill=fill,
-            )
+            side = SUPERSAMPLING * reach
+            self._pen.ellipse([x - side, y - side, x + side, y + side], fill=fill)
 
-    def keep_clear(self, start: PixelPoint, end: PixelPoint) -> None:
+    def reserve_line(self, start: PixelPoint, end: PixelPoint) -> None:
         """Keep words off a line where there is room beside it."""
         steps = 1 + round(np.hypot(*np.subtract(end, start)) / LINE_BOX_STEP)
+        half = LINE_BOX_STEP / 2
         for x, y in np.linspace(start, end, steps).tolist():
-            self._clear.append(
-                PixelBox(
-                    x - LINE_BOX_STEP / 2, y - LINE_BOX_STEP / 2, x + LINE_BOX_STEP / 2, y + LINE_BOX_STEP / 2
-                )
-            )
+            self._clear.append(PixelBox(x - half, y - half, x + half, y + half))
 
-    def write(self, label: Label) -> None:
+    def add_label(self, label: Label) -> None:
         """Write words where there is room for them."""
         self._labels.append(label)
 
-    def finished(self) -> Image.Image:
-        """The picture with all that was drawn over it, words on top."""
+    def composed(self) -> Image.Image:
+        """Return the picture with all that was drawn over it, words on top."""
         whole = Image.alpha_composite(self._image, self._lines.resize(self._image.size, Image.Resampling.BOX))
         pen = ImageDraw.Draw(whole)
-        for label, spot in arrange_labels(
-            self._labels,
-            self._clear,
-            self._dots,
-            self._image.width,
-            lambda label: pen.textlength(label.words, label_font(label.size)),
-        ):
+
+        def length(label: Label) -> float:
+            return pen.textlength(label.words, label_font(label.size))
+
+        placed = arrange_labels(self._labels, self._clear, self._dots, self._image.width, length)
+        for label, spot in placed:
+            font, halo = label_font(label.size), max(1, label.size // 7)
             pen.text(
-                spot[:2],
-                label.words,
-                label.colour,
-                label_font(label.size),
-                anchor=f"{spot.side}m",
-                stroke_width=max(1, label.size // 7),
-                stroke_fill=HALO_COLOUR,
-            )
+                spot[:2], label.words, label.colour, font, anchor=f"{spot.anchor}m",
+                stroke_width=halo, stroke_fill=HALO_COLOUR,
+            )  # fmt: skip
         return whole.convert("RGB")
 
 
@@ -247,13 +216,7 @@ Floats = NDArray[np.float64]
 
 
 class SceneAnnotations:
-    """Draws frames, the approach axis and contacts over the pictures of one replay.
-
-    Parameters
-    ----------
-    size
-        Of the words [pixels].
-    """
+    """Draws frames, approach axis and contacts of a replay; words are `size` pixels high."""
 
     def __init__(self, gripper: SceneGripper, camera: ReplayCamera, size: int) -> None:
         self._camera = camera
@@ -265,45 +228,39 @@ class SceneAnnotations:
 
     def draw(self, canvas: Canvas, shot: ReplayFrame) -> None:
         """Draw all that belongs to a frame."""
-        self._frame(canvas, shot.object, "object, centre of mass")
-        self._frame(canvas, shot.hand, f"hand base {self._base}")
-        self._arrow(canvas, shot.hand)
+        self._draw_frame(canvas, shot.object, "object, centre of mass")
+        self._draw_frame(canvas, shot.hand, f"hand base {self._base}")
+        palm, far = self._project(transform_points(shot.hand, self._approach))
+        canvas.draw_arrow(palm, far, APPROACH_COLOUR, BOLD * self._size)
+        canvas.reserve_line(palm, far)
+        beside = LABEL_OFFSET * self._size
+        spots = [LabelSpot(far[0] + beside, far[1], "l"), LabelSpot(far[0] - beside, far[1], "r")]
+        canvas.add_label(Label("approach", self._size, APPROACH_COLOUR, spots))
         for touch in shot.touches:
-            self._contact(canvas, touch, contact_colour(shot, touch))
+            point, hue = np.array(touch.point), contact_colour(shot, touch)
+            start, end = self._project(np.array([point, point + NORMAL_LENGTH * np.array(touch.normal)]))
+            canvas.draw_arrow(start, end, hue, THIN * self._size)
+            canvas.draw_disc(start, DOT * self._size, hue)
 
-    def _frame(self, canvas: Canvas, pose: Pose, name: str) -> None:
+    def _draw_frame(self, canvas: Canvas, pose: Pose, name: str) -> None:
         """Draw the axes of a frame, and its name where they do not point."""
-        origin, *tips = self._seen(transform_points(pose, np.vstack([np.zeros(3), FRAME_LENGTH * np.eye(3)])))
+        origin, *tips = self._project(
+            transform_points(pose, np.vstack([np.zeros(3), FRAME_LENGTH * np.eye(3)]))
+        )
         for (axis, hue), tip in zip(AXIS_COLOURS.items(), tips, strict=True):
-            canvas.arrow(origin, tip, hue, LINE * self._size)
-            canvas.keep_clear(origin, tip)
+            canvas.draw_arrow(origin, tip, hue, LINE * self._size)
+            canvas.reserve_line(origin, tip)
             along = _direction(origin, tip)
             steps = [beyond * self._size * along for beyond in TIP_OFFSETS]
             spots = [LabelSpot(tip[0] + right, tip[1] + down, "m") for right, down in steps]
-            canvas.write(Label(axis, self._size, hue, spots, is_needed=False))
+            canvas.add_label(Label(axis, self._size, hue, spots, is_needed=False))
         away = _direction(np.mean(tips, axis=0), origin)
         x, y = np.array(origin) + 2 * LABEL_OFFSET * self._size * away
         side: Anchor = "r" if away[0] < 0 else "l"
-        canvas.write(
-            Label(name, self._size, INK, [LabelSpot(x, y + step * self._size, side) for step in LABEL_SHIFTS])
-        )
+        spots = [LabelSpot(x, y + step * self._size, side) for step in LABEL_SHIFTS]
+        canvas.add_label(Label(name, self._size, INK, spots))
 
-    def _arrow(self, canvas: Canvas, hand: Pose) -> None:
-        """Draw the approach axis from the palm."""
-        palm, far = self._seen(transform_points(hand, self._approach))
-        canvas.arrow(palm, far, APPROACH_COLOUR, BOLD * self._size)
-        canvas.keep_clear(palm, far)
-        beside = LABEL_OFFSET * self._size
-        spots = [LabelSpot(far[0] + beside, far[1], "l"), LabelSpot(far[0] - beside, far[1], "r")]
-        canvas.write(Label("approach", self._size, APPROACH_COLOUR, spots))
-
-    def _contact(self, canvas: Canvas, touch: ContactPoint, hue: str) -> None:
-        point = np.array(touch.point)
-        start, end = self._seen(np.array([point, point + NORMAL_LENGTH * np.array(touch.normal)]))
-        canvas.arrow(start, end, hue, THIN * self._size)
-        canvas.disc(start, DOT * self._size, hue)
-
-    def _seen(self, points: Floats) -> list[PixelPoint]:
+    def _project(self, points: Floats) -> list[PixelPoint]:
         return [(column, row) for column, row in self._camera.pixels(points).tolist()]
 
 
@@ -314,19 +271,19 @@ def _direction(start: PixelPoint | Floats, end: PixelPoint | Floats) -> Floats:
 
 
 def transform_points(pose: Pose, points: Floats) -> Floats:
-    """Points (n, 3) of a frame at a pose, in the frame of the pose."""
+    """Return points (n, 3) of a frame at a pose, in the frame of the pose."""
     moved: Floats = Rotation.from_quat(pose[3:]).apply(points) + pose[:3]
     return moved
 
 
 def contact_colour(shot: ReplayFrame, touch: ContactPoint) -> str:
-    """The colour of a contact: what it means."""
+    """Return the colour that stands for the kind of a contact."""
     if shot.phase == "placed" and touch.distance < 0:
         return OVERLAP_COLOUR
     return FINGER_CONTACT_COLOUR if touch.is_finger else OTHER_CONTACT_COLOUR
 
 
 def contact_colours(shots: Iterable[ReplayFrame]) -> list[str]:
-    """The colours of the contacts in some frames, in the order of the legend."""
+    """Return the colours of the contacts in some frames, in the order of the legend."""
     found = {contact_colour(shot, touch) for shot in shots for touch in shot.touches}
     return [hue for hue in CONTACT_WORDS if hue in found]

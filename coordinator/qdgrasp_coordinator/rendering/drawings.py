@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     ArchiveGrowth,
     archive_growth,
 )
+from qdgrasp_coordinator.rendering.annotations import AXIS_COLOURS, FRAME_LENGTH, INK
 from qdgrasp_coordinator.rendering.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_coordinator.rendering.ray_renderer import (
     FIELD,
@@ -56,50 +58,38 @@ MISSING_LETTER = "\u25a1"  # Stands for a letter that the font lacks
 
 
 def figure_text(words: str) -> str:
-    """Words with a box for each letter that the font of figures lacks, and dollars that begin no formula."""
+    """Replace letters that the font of figures lacks by boxes, and escape dollars."""
     letters = (letter if letter in "\n" or _has_letter(letter) else MISSING_LETTER for letter in words)
     return "".join(letters).replace("$", r"\$")
 
 
 @cache
 def _has_letter(letter: str) -> bool:
-    """Whether the font has a letter, plain and bold."""
+    """Return whether the font has a letter, plain and bold."""
     files = {findfont(FontProperties(weight=weight)) for weight in ("normal", "bold")}
     return all(get_font(file).get_char_index(ord(letter)) for file in files)
 
 
 GRASPS_SIZE = (16.0, 10.0)  # inches
-HANDS_BOX, CELLS_BOX, GROWTH_BOX = (
-    (0.01, 0.02, 0.545, 0.872),
-    (0.6, 0.385, 0.294, 0.47),
-    (0.64, 0.085, 0.26, 0.19),
-)
-"""Where the three panels stand: left, bottom, width and height as shares of the figure."""
-INK, FAINT = "#22262b", "#69717a"
+HANDS_BOX, CELLS_BOX = (0.01, 0.02, 0.545, 0.872), (0.6, 0.385, 0.294, 0.47)
+GROWTH_BOX = (0.64, 0.085, 0.26, 0.19)
+"""Left, bottom, width and height of the three panels, as shares of the figure."""
+FAINT = "#69717a"
 GROWTH_COLOURS = {"successes": "#8a9199", "cells": "#2a73b9"}
 OUTCOME_NOUNS = {Outcome.DROPPED: "successes", Outcome.SHAKEN: "grasps", Outcome.HELD: "robust"}
 LABELS_APART = 0.22
-"""Lines that end closer than this, as a share of the panel, have the lower one's label moved down."""
+"""Lines that end closer than this share of the panel have the lower one's label moved down."""
 SCALE_BAR = 0.05  # Length of the scale bar [m]
 
 
 def draw_grasps(
     scene: Scene, rows: Rows, path: Path, *, spec: RunSpec | None = None, pixels: int = 1040
 ) -> None:
-    """Draw what a run has found.
+    """Draw the grasps, cells and growth of a run to a PNG file in a folder that exists.
 
-    Parameters
-    ----------
-    scene
-        The run's scene.
-    rows
-        Its rows in journal order; there may be no success among them.
-    path
-        The PNG file to write, in a folder that exists.
-    spec
-        Names method and seed in the title, and says whether overlaps count as evaluations.
-    pixels
-        Width of the view of the hands; the picture is 1.8 times as wide.
+    `rows` are in journal order; there may be no success among them. `spec` names method and seed in the
+    title, and says whether overlaps count as evaluations. The view of the hands is `pixels` wide, the picture
+    1.8 times as wide.
     """
     nominal = rows[rows["trial"] == 0]
     successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
@@ -108,10 +98,8 @@ def draw_grasps(
     figure = Figure(figsize=GRASPS_SIZE, dpi=pixels / (GRASPS_SIZE[1] * HANDS_BOX[3]), facecolor="white")
     _title(figure, scene, spec, _found_in_words(successes, grown))
     _draw_hands(figure.add_axes(HANDS_BOX), view_of_hands(scene, successes, side, pixels), successes)
-    _draw_cells(
-        figure.add_axes(CELLS_BOX),
-        view_of_cells(scene, best, side, round(pixels * CELLS_BOX[3] / HANDS_BOX[3])),
-    )
+    cells = view_of_cells(scene, best, side, round(pixels * CELLS_BOX[3] / HANDS_BOX[3]))
+    _draw_cells(figure.add_axes(CELLS_BOX), cells)
     _draw_growth(figure.add_axes(GROWTH_BOX), grown)
     figure.savefig(path, format="png")
 
@@ -134,7 +122,8 @@ def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> No
 
 def _draw_hands(axes: Axes, view: RenderedView, successes: Rows) -> None:
     _show(axes, view)
-    _caption(axes, _choice_in_words(view.shown, successes))
+    words = _choice_in_words(view.shown, successes)
+    axes.text(0.5, 0.0, words, transform=axes.transAxes, size=13, color=FAINT, ha="center", va="bottom")
     scale_bar(axes, view)
     axes_triad(axes, view)
 
@@ -152,7 +141,7 @@ def _draw_cells(axes: Axes, view: RenderedView) -> None:
     scale_bar(axes, view)
     cells = counted(len(view.shown), "cell", told="{:,}".format)
     heading = f"{cells} of 1 cm where the hand had a success"
-    axes.set_title(heading + ("" if view.whole else ", cut open"), size=13, color=INK, loc="left", pad=4)
+    axes.set_title(heading + ("" if view.is_uncut else ", cut open"), size=13, color=INK, loc="left", pad=4)
     fitness = np.clip(view.shown["fitness"], 0, ROBUST).astype(int)
     for best, (colour, word) in enumerate(zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)):
         height = -0.03 - 0.055 * (ROBUST - best)
@@ -164,10 +153,8 @@ def _draw_cells(axes: Axes, view: RenderedView) -> None:
 def _draw_growth(axes: Axes, grown: ArchiveGrowth) -> None:
     most, end = max(int(grown.successes[-1]), 1), int(grown.evaluations[-1])
     apart = (grown.successes[-1] - grown.cells[-1]) / most > LABELS_APART
-    for word, series, shift in (
-        ("successes", grown.successes, 0),
-        ("cells", grown.cells, 0 if apart else -34),
-    ):
+    lines = (("successes", grown.successes, 0), ("cells", grown.cells, 0 if apart else -34))
+    for word, series, shift in lines:
         axes.plot(grown.evaluations, series, color=GROWTH_COLOURS[word], linewidth=2.4)
         axes.annotate(
             f"{series[-1]:,}\n{word}", (end, int(series[-1])), (8, shift), textcoords="offset points",
@@ -188,12 +175,8 @@ def _show(axes: Axes, view: RenderedView) -> None:
     axes.set_axis_off()
 
 
-def _caption(axes: Axes, words: str) -> None:
-    axes.text(0.5, 0.0, words, transform=axes.transAxes, size=13, color=FAINT, ha="center", va="bottom")
-
-
 def scale_bar(axes: Axes, view: RenderedView) -> None:
-    """A bar of 5 cm in the lower right corner."""
+    """Draw a bar of 5 cm in the lower right corner."""
     rows, columns, _ = view.image.shape
     length = SCALE_BAR / (view.camera.step * RAYS_PER_PIXEL)
     right, low = 0.985 * columns, 0.985 * rows
@@ -202,7 +185,7 @@ def scale_bar(axes: Axes, view: RenderedView) -> None:
 
 
 def axes_triad(axes: Axes, view: RenderedView) -> None:
-    """The axes of the object's frame in the lower left corner."""
+    """Draw the axes of the object's frame in the lower left corner."""
     rows, columns, _ = view.image.shape
     x, y, length = 0.075 * columns, 0.93 * rows, 0.05 * rows
     for name, (right, up, _) in zip("xyz", view.camera.axes.T.tolist(), strict=True):
@@ -216,107 +199,101 @@ PORTRAIT_SIZE, PORTRAIT_DPI = (12.0, 6.4), 100  # inches
 PORTRAIT_PIXELS = 560  # Width and height of each of the two views
 AZIMUTH = np.radians(35.0)
 BEYOND = 1.2  # The name of an axis stands so far out, in its lengths
-FRAME_LENGTH = 0.04  # Length of the axes of a frame [m]
-AXIS_COLOURS = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
 OUTLINE = withStroke(linewidth=3, foreground="white")  # Keeps a letter readable on any part
 CLOSE_TOGETHER = 0.01  # What an object is drawn in is at least so wide [m]
 OPEN_EDGE_COLOUR = "#d62728"
 STANDOFF_COLOUR = "#aa3377"
 
-PaintedMesh = tuple[Mesh, Floats]
-"""A mesh and its colour (3,)."""
+PaintedMesh = tuple[Mesh, Floats]  # A mesh and its colour (3,)
 Point3 = NDArray[np.floating]
 
 
 def draw_gripper(gripper: SceneGripper, path: Path) -> None:
-    """Draw a hand open and closed to a PNG file, its approach axis upward: fingers coloured, palm in clay.
+    """Draw a hand open and closed, its approach axis upward, to a PNG file.
 
-    Axes stand in the base frame; the arrow goes from the palm as far as the stand-off's range reaches. The
-    bar across it is as long as the jaw of a two-finger hand opens, along its axis.
+    Fingers are coloured, the palm is clay. Axes stand in the base frame; the arrow goes from the palm as far
+    as the stand-off's range reaches. The bar across it is as long as the jaw of a two-finger hand opens,
+    along its axis.
     """
-    drawn, upright = hand_geometry(gripper), _upright(gripper)
+    hand = hand_geometry(gripper)
+    upright = Rotation.align_vectors([[0, 0, 1]], [gripper.approach_axis])[0]  # the least rotation
     postures = {
         "open": [joint.opened for joint in gripper.joints],
         "closed": [joint.closed for joint in gripper.joints],
     }
-    panels = {name: _painted_links(drawn, upright, joints) for name, joints in postures.items()}
+    panels = {name: _painted_links(hand, upright, joints) for name, joints in postures.items()}
     words = (
         f"frame: base link {gripper.base_link}; arrow: from the palm, {gripper.palm_offset:g} m along the "
-        "approach axis"
+        f"approach axis, to the greatest stand-off{'; bar: the jaw' if gripper.jaw else ''}"
     )
-    words += ", to the greatest stand-off" + ("; bar: the jaw" if gripper.jaw else "")
     directions = upright.as_matrix()
     palm, near, far = (
         upright.apply(np.array(gripper.approach_axis) * (gripper.palm_offset + reach))
         for reach in (0.0, *gripper.standoff)
     )
-    figure, seen, views = _two_views(
+    figure, camera, views = _two_views(
         gripper.name, words, panels, tips=np.array([*FRAME_LENGTH * directions.T, far])
     )
     for axes in views:
-        _draw_frame(axes, seen, directions)
-        _draw_arrow(axes, seen, palm, far, STANDOFF_COLOUR)
-        axes.plot(*project_point(seen, near), "o", color=STANDOFF_COLOUR, markersize=5)
+        _draw_frame(axes, camera, directions)
+        _draw_arrow(axes, camera, palm, far, STANDOFF_COLOUR)
+        axes.plot(*project_point(camera, near), "o", color=STANDOFF_COLOUR, markersize=5)
         if gripper.jaw is not None:
             half = upright.apply(np.array(gripper.jaw.axis) * gripper.jaw.opening / 2)
-            ends = [project_point(seen, far + side * half) for side in (-1, 1)]
+            ends = [project_point(camera, far + side * half) for side in (-1, 1)]
             axes.plot(*zip(*ends, strict=True), "|-", color=STANDOFF_COLOUR, markersize=8, linewidth=1.6)
     figure.savefig(path, format="png", metadata=PNG_SIGNATURE)
 
 
 def draw_object(target: ObjectModel, path: Path) -> None:
-    """Draw an object's surface and its convex parts to a PNG file, in its centre-of-mass frame."""
-    parts = [
-        (part, rgb(FINGER_HUES[turn % len(FINGER_HUES)])) for turn, part in enumerate(target.centred_parts)
-    ]
+    """Draw an object's surface and its convex parts, CoM frame, to a PNG file."""
+    hues = cycle(map(rgb, FINGER_HUES))
+    parts = list(zip(target.centred_parts, hues, strict=False))
     panels = {"surface": [(target.centred_mesh, rgb(CLAY))], f"convex parts: {len(parts)}": parts}
     words = (
         f"{_size_words(target.mesh)}, centre of mass where the axes meet, parts: {target.collision_source}"
     )
-    figure, seen, views = _two_views(
+    figure, camera, views = _two_views(
         target.name, words, panels, CLOSE_TOGETHER, np.eye(3) * _reach(target.mesh)
     )
     for axes in views:
-        _draw_frame(axes, seen, np.eye(3), _reach(target.mesh))
+        _draw_frame(axes, camera, np.eye(3), _reach(target.mesh))
     figure.savefig(path, format="png", metadata=PNG_SIGNATURE)
 
 
 def draw_mesh(name: str, mesh: Mesh, path: Path) -> None:
-    """Draw a mesh from two sides to a PNG file, around its middle; open edges are red, those behind too."""
+    """Draw a mesh from two sides, around its middle, to a PNG file.
+
+    Open edges are red, also those behind.
+    """
     loose, middle = mesh.vertices[MeshEdges(mesh).open_edges], np.mean(mesh.bounds, axis=0)
-    turn = Rotation.from_euler("z", 180, degrees=True).as_matrix()
-    sides = {"one side": np.eye(3), "the other side": turn}
+    sides = {"one side": np.eye(3), "the other side": Rotation.from_euler("z", 180, degrees=True).as_matrix()}
     centred = {title: Mesh((mesh.vertices - middle) @ side.T, mesh.faces) for title, side in sides.items()}
     panels = {title: [(seen_so, rgb(CLAY))] for title, seen_so in centred.items()}
     words = (
         f"{_size_words(mesh)}, axes of the mesh file around its middle, edges with one triangle: {len(loose)}"
     )
-    figure, seen, views = _two_views(
+    figure, camera, views = _two_views(
         name, words, panels, CLOSE_TOGETHER, np.concatenate(list(sides.values())) * _reach(mesh)
     )
     for axes, side in zip(views, sides.values(), strict=True):
-        _draw_frame(axes, seen, side, _reach(mesh))
-        lines = [[project_point(seen, end) for end in edge] for edge in (loose - middle) @ side.T]
+        _draw_frame(axes, camera, side, _reach(mesh))
+        lines = [[project_point(camera, end) for end in edge] for edge in (loose - middle) @ side.T]
         axes.add_collection(LineCollection(lines, colors=OPEN_EDGE_COLOUR, linewidths=1.6))
     figure.savefig(path, format="png", metadata=PNG_SIGNATURE)
 
 
-def project_point(seen: ParallelCamera, point: Point3) -> tuple[float, float]:
-    """The column and row of the finished image where a point (3,) is."""
-    right, up = (seen.seen(point[None])[0, :2] - seen.low) / (seen.step * RAYS_PER_PIXEL)
-    return float(right), float(seen.rows / RAYS_PER_PIXEL - up)
+def project_point(camera: ParallelCamera, point: Point3) -> tuple[float, float]:
+    """Return the column and row of the finished image at which a point (3,) lies."""
+    right, up = (camera.project(point[None])[0, :2] - camera.low) / (camera.step * RAYS_PER_PIXEL)
+    return float(right), float(camera.rows / RAYS_PER_PIXEL - up)
 
 
-def _upright(gripper: SceneGripper) -> Rotation:
-    """The least turn that brings the approach axis upward."""
-    return Rotation.align_vectors([[0, 0, 1]], [gripper.approach_axis])[0]
-
-
-def _painted_links(drawn: HandGeometry, upright: Rotation, joints: Sequence[float]) -> list[PaintedMesh]:
+def _painted_links(hand: HandGeometry, upright: Rotation, joints: Sequence[float]) -> list[PaintedMesh]:
     pose = np.concatenate([np.zeros(3), upright.as_quat()])
     return [
-        (Mesh(vertices, shape.faces), rgb(FINGER_HUES[0] if drawn.is_finger(shape) else CLAY))
-        for shape, vertices in drawn.posed(pose, np.array(joints))
+        (Mesh(vertices, shape.faces), rgb(FINGER_HUES[0] if hand.is_finger(shape) else CLAY))
+        for shape, vertices in hand.place_meshes(pose, np.array(joints))
     ]
 
 
@@ -325,7 +302,7 @@ def _size_words(mesh: Mesh) -> str:
 
 
 def _reach(mesh: Mesh) -> float:
-    """How long the axes of a frame within a mesh are drawn [m]."""
+    """Return the length of the axes of a frame within a mesh [m]."""
     return 0.6 * float(mesh.extents.max())
 
 
@@ -334,43 +311,40 @@ def _two_views(
     words: str,
     panels: dict[str, list[PaintedMesh]],
     field: float = FIELD,
-    tips: Point3 = np.zeros((1, 3)),  # noqa: B008  # nobody writes into it
+    tips: Point3 = np.zeros((1, 3)),  # noqa: B008  # it is only read
 ) -> tuple[Figure, ParallelCamera, list[Axes]]:
-    """A figure with a titled view of each panel's pieces, all from one camera, at least `field` [m] wide.
+    """Make a figure with a titled view of each panel's pieces, all from one camera.
 
-    The points `tips` (n, 3) [m] are in the image, with some room around them.
+    The image is at least `field` [m] wide; the points `tips` (n, 3) [m] are in it, with some room around
+    them.
     """
     meshes = [mesh for pieces in panels.values() for mesh, _ in pieces]
     points = np.concatenate([np.zeros((1, 3)), BEYOND * tips, *(mesh.vertices for mesh in meshes)])
-    seen = fit_camera(
+    camera = fit_camera(
         points, AZIMUTH, ELEVATION, RAYS_PER_PIXEL * PORTRAIT_PIXELS, RAYS_PER_PIXEL * PORTRAIT_PIXELS, field
     )
     figure = Figure(figsize=PORTRAIT_SIZE, dpi=PORTRAIT_DPI, facecolor="white")
     figure.text(0.022, 0.945, figure_text(name), size=20, weight="bold", color=INK, va="center")
     figure.text(0.022, 0.89, figure_text(words), size=11, color=FAINT, va="center")
-    views = [figure.add_axes((0.02 + 0.49 * turn, 0.02, 0.47, 0.8)) for turn in range(len(panels))]
+    views = [figure.add_axes((0.02 + 0.49 * n, 0.02, 0.47, 0.8)) for n in range(len(panels))]
     for axes, (title, pieces) in zip(views, panels.items(), strict=True):
-        axes.imshow(_render_pieces(pieces, seen), interpolation="none")
+        image = LayeredImage(camera)
+        colours = np.concatenate([np.tile(colour, (len(mesh.faces), 1)) for mesh, colour in pieces])
+        paint_solid(image, RayMesh(join([mesh for mesh, _ in pieces])), colours)
+        axes.imshow(image.composed(), interpolation="none")
         axes.set_title(title, size=12, color=INK, loc="left")
         axes.set_axis_off()
-    return figure, seen, views
+    return figure, camera, views
 
 
-def _render_pieces(pieces: list[PaintedMesh], seen: ParallelCamera) -> Floats:
-    image = LayeredImage(seen)
-    colours = np.concatenate([np.tile(colour, (len(mesh.faces), 1)) for mesh, colour in pieces])
-    paint_solid(image, RayMesh(join([mesh for mesh, _ in pieces])), colours)
-    return image.finished()
-
-
-def _draw_frame(axes: Axes, seen: ParallelCamera, directions: Point3, length: float = FRAME_LENGTH) -> None:
-    """The axes of a frame at the origin; `directions` are the columns of a matrix (3, 3)."""
+def _draw_frame(axes: Axes, camera: ParallelCamera, directions: Point3, length: float = FRAME_LENGTH) -> None:
+    """Draw axes at the origin; `directions` are the columns of a matrix (3, 3)."""
     for (name, colour), direction in zip(AXIS_COLOURS.items(), directions.T, strict=True):
-        _draw_arrow(axes, seen, np.zeros(3), length * direction, colour)
-        there = project_point(seen, BEYOND * length * direction)
+        _draw_arrow(axes, camera, np.zeros(3), length * direction, colour)
+        there = project_point(camera, BEYOND * length * direction)
         axes.text(*there, name, color=colour, ha="center", va="center", path_effects=[OUTLINE])
 
 
-def _draw_arrow(axes: Axes, seen: ParallelCamera, start: Point3, end: Point3, colour: str) -> None:
+def _draw_arrow(axes: Axes, camera: ParallelCamera, start: Point3, end: Point3, colour: str) -> None:
     style = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", project_point(seen, end), project_point(seen, start), arrowprops=style)
+    axes.annotate("", project_point(camera, end), project_point(camera, start), arrowprops=style)

@@ -1,4 +1,4 @@
-"""Links of a hand placed by its joints, and which hands a table under the object would cut."""
+"""Links of a hand placed by its joints, and a table under the object that cuts hands off."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -22,44 +22,34 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HandGeometry:
-    """A gripper's shapes on its joints."""
+    """Collision shapes of a gripper on its joints."""
 
     gripper: SceneGripper
     robot: Urdf
     shapes: tuple[CollisionShape, ...]
 
     def is_finger(self, shape: CollisionShape) -> bool:
-        """Whether the contact of a shape makes a success."""
+        """Return whether the contact of a shape makes a success."""
         return shape.link in self.gripper.finger_links
 
-    def posed(self, base_to_object: Floats, joints: Floats) -> Iterator[tuple[CollisionShape, Floats]]:
-        """Each shape with its vertices (v, 3) [m] in the object's CoM frame.
+    def place_meshes(self, base_to_object: Floats, joints: Floats) -> Iterator[tuple[CollisionShape, Floats]]:
+        """Yield each shape with its vertices (v, 3) [m] in the object's CoM frame.
 
-        Parameters
-        ----------
-        base_to_object
-            (7,): position [m] and quaternion xyzw of the hand's root link.
-        joints
-            (j,): finger joint positions [rad or m], in the gripper's order.
+        `base_to_object` (7,) is position [m] and quaternion xyzw of the hand's root link, `joints` (j,) are
+        finger joint positions [rad or m] in the gripper's order.
         """
-        frames = self.frames(base_to_object, joints)
+        frames = self.link_frames(base_to_object, joints)
         for shape in self.shapes:
             frame = frames[shape.link]
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
 
-    def lowest(self, base_to_object: Floats, joints: Floats, up: Floats) -> Floats:
-        """How low hands reach: (n,) [m], the least of their points' components along `up`.
+    def lowest_points(self, base_to_object: Floats, joints: Floats, up: Floats) -> Floats:
+        """Return the least component of each hand's points along `up`: (n,) [m].
 
-        Parameters
-        ----------
-        base_to_object
-            (n, 7), as in `posed`.
-        joints
-            (n, j).
-        up
-            (3,), unit, the object's CoM frame.
+        `base_to_object` (n, 7) and `joints` (n, j) as in `place_meshes`; `up` (3,) is a unit vector, CoM
+        frame.
         """
-        frames = self.frames(base_to_object, joints)
+        frames = self.link_frames(base_to_object, joints)
         lowest = np.full(len(base_to_object), np.inf)
         for shape in self.shapes:
             frame = frames[shape.link]
@@ -68,33 +58,24 @@ class HandGeometry:
             lowest = np.minimum(lowest, height)
         return lowest
 
-    def frames(self, base_to_object: Floats, joints: Floats) -> dict[str, Floats]:
-        """Each link's frame (..., 4, 4) in the object's CoM frame.
+    def link_frames(self, base_to_object: Floats, joints: Floats) -> dict[str, Floats]:
+        """Return each link's frame (..., 4, 4) in the object's CoM frame.
 
-        Parameters
-        ----------
-        base_to_object
-            (..., 7), as in `posed`.
-        joints
-            (..., j).
+        `base_to_object` (..., 7) and `joints` (..., j) as in `place_meshes`.
         """
         names = [joint.name for joint in self.gripper.joints]
         positions = dict(zip(names, np.moveaxis(joints, -1, 0), strict=True))
-        return self.robot.forward(positions, _pose_matrix(base_to_object))
+        base = np.tile(np.eye(4), (*base_to_object.shape[:-1], 1, 1))
+        base[..., :3, :3] = Rotation.from_quat(base_to_object[..., 3:]).as_matrix()
+        base[..., :3, 3] = base_to_object[..., :3]
+        return self.robot.forward(positions, base)
 
 
 def hand_geometry(gripper: SceneGripper) -> HandGeometry:
-    """The hand of a scene, its carrier left out."""
+    """Return the hand of a scene, its carrier left out."""
     element = ET.fromstring(gripper.urdf)  # noqa: S314  # a scene that was read and checked
     robot = parse_robot(Path(gripper.name), element).subtree(gripper.base_link)
     return HandGeometry(gripper, robot, tuple(shapes(robot, gripper.meshes)))
-
-
-def _pose_matrix(pose: Floats) -> Floats:
-    frame = np.tile(np.eye(4), (*pose.shape[:-1], 1, 1))
-    frame[..., :3, :3] = Rotation.from_quat(pose[..., 3:]).as_matrix()
-    frame[..., :3, 3] = pose[..., :3]
-    return frame
 
 
 ROWS_AT_ONCE = 2048  # Hands that are placed at once
@@ -111,28 +92,18 @@ class TablePlane:
     """Component of the plane's points along `up` [m]."""
 
     def is_clear_of(self, scene: Scene, prior: str, rows: Rows) -> NDArray[np.bool_]:
-        """Which hands are above the table, with all of their collision shapes.
+        """Flag the hands whose collision shapes are all above the table: (n,).
 
-        Parameters
-        ----------
-        scene
-            Of the rows.
-        prior
-            Of their genomes.
-        rows
-            Nominal rows whose hands have closed.
-
-        Returns
-        -------
-        (n,): at the commanded pose, both with the open posture and with the joints at the grasp.
+        `rows` are nominal rows of the scene whose hands have closed, `prior` that of their genomes. A hand is
+        looked at in its commanded pose, both in the open posture and with the joints at the grasp.
         """
-        drawn = hand_geometry(scene.gripper)
+        hand = hand_geometry(scene.gripper)
         clear = np.zeros(len(rows), dtype=bool)
         for first in range(0, len(rows), ROWS_AT_ONCE):
             part = rows[first : first + ROWS_AT_ONCE]
             poses = part["base_to_object"].astype(np.float64)
             lows = [
-                drawn.lowest(poses, joints.astype(np.float64), self.up)
+                hand.lowest_points(poses, joints.astype(np.float64), self.up)
                 for joints in (postures(scene, prior, part), part["joints"])
             ]
             clear[first : first + ROWS_AT_ONCE] = np.min(lows, axis=0) >= self.height
@@ -140,20 +111,14 @@ class TablePlane:
 
 
 def table_under(scene: Scene, object_to_world: Rotation = AS_MODELLED) -> TablePlane:
-    """The table that an object stands on when it is turned so; z of the world is up."""
+    """Return the table that an object stands on in this orientation; z of the world is up."""
     up = object_to_world.inv().apply([0.0, 0.0, 1.0])
     vertices = np.frombuffer(scene.object.mesh_vertices, "<f4").reshape(-1, 3).astype(np.float64)
     return TablePlane(up, float((vertices @ up).min()))
 
 
 def orientation(words: str) -> Rotation:
-    """How an object is turned: a quaternion "x,y,z,w", or angles "x,y,z" about the fixed axes in turn [deg].
-
-    Raises
-    ------
-    ImpossibleValue
-        It is neither.
-    """
+    """Read a quaternion "x,y,z,w", or angles "x,y,z" about the fixed axes in turn [deg]."""
     found = parse_numbers(words)
     if len(found) == 3 and np.isfinite(found).all():
         return Rotation.from_euler("xyz", found, degrees=True)

@@ -32,18 +32,18 @@ class ParallelCamera:
     low: Floats
     """(2,) [m]: the image's lower left corner, to the right and up."""
     step: float
-    """The distance of neighbouring points of the image [m]."""
+    """Distance of neighbouring points of the image [m]."""
     rows: int
     columns: int
 
-    def seen(self, points: NDArray[np.floating]) -> Floats:
-        """Points (n, 3) to the right, up and toward the eye (n, 3) [m]."""
+    def project(self, points: NDArray[np.floating]) -> Floats:
+        """Return components of points (n, 3) to the right, up and toward the eye [m]."""
         turned: Floats = np.asarray(points, np.float32) @ self.axes.T
         return turned
 
     def window(self, points: NDArray[np.floating]) -> PixelIndices:
-        """The points of the image, numbered row by row, in the rectangle around `points` (n, 3)."""
-        flat = (self.seen(points)[:, :2] - self.low) / self.step
+        """Return the image points in the rectangle around `points` (n, 3), numbered row by row."""
+        flat = (self.project(points)[:, :2] - self.low) / self.step
         left, bottom = np.maximum(np.floor(flat.min(axis=0)) - 1, 0).astype(int)
         right, top = np.ceil(flat.max(axis=0)).astype(int) + 1
         rows = np.arange(max(self.rows - top, 0), max(self.rows - bottom, 0))
@@ -51,7 +51,7 @@ class ParallelCamera:
         return (rows[:, None] * self.columns + columns).ravel()
 
     def origins(self, pixels: PixelIndices) -> Floats:
-        """Where the rays of points of the image start, (n, 3) [m]."""
+        """Return the points at which the rays of image points start: (n, 3) [m]."""
         row, column = np.divmod(pixels.astype(np.int32), np.int32(self.columns))
         eye = np.empty((len(pixels), 3), dtype=np.float32)
         eye[:, 0] = self.low[0] + (column + np.float32(0.5)) * np.float32(self.step)
@@ -62,7 +62,7 @@ class ParallelCamera:
 
 
 MARGIN = 0.015  # Left free on each side, as a share of the image
-FIELD = 0.26  # No image is narrower than this unless it is asked for [m], so that small things look small
+FIELD = 0.26  # No image is narrower than this unless it is asked for [m], so that small objects look small
 
 
 def fit_camera(
@@ -73,9 +73,9 @@ def fit_camera(
     columns: int,
     field: float = FIELD,
 ) -> ParallelCamera:
-    """A camera at `azimuth` about z and `elevation` above it [rad], with all points (n, 3) in its image.
+    """Return a camera whose image holds all points (n, 3), and is at least `field` [m] wide.
 
-    The image is not narrower than `field` [m].
+    It stands at `azimuth` about z and `elevation` above it [rad].
     """
     (ca, sa), (ce, se) = ((np.cos(angle), np.sin(angle)) for angle in (azimuth, elevation))
     right, toward = np.array([-sa, ca, 0.0]), np.array([ca * ce, sa * ce, se])
@@ -90,12 +90,12 @@ def fit_camera(
 
 @dataclass(frozen=True)
 class RayHits:
-    """Where rays met a solid first."""
+    """Points at which rays met a solid first."""
 
     pixels: PixelIndices
-    """(m,): the points of the image whose rays met it."""
+    """(m,): image points whose rays met it."""
     depth: Floats
-    """(m,) [m]: how far from the eye's plane."""
+    """(m,) [m]: distance from the eye's plane."""
     points: Floats
     """(m, 3) [m]."""
     normals: Floats
@@ -106,7 +106,7 @@ class RayHits:
 
 @dataclass(frozen=True)
 class RayMesh:
-    """A triangle mesh made ready for rays."""
+    """A triangle mesh with embree's scene for casting rays."""
 
     mesh: Mesh
     normals: Floats = field(init=False)
@@ -119,8 +119,8 @@ class RayMesh:
         TriangleMesh(scene, np.ascontiguousarray(self.mesh.corners, dtype=np.float32))
         object.__setattr__(self, "rays", scene)
 
-    def seen_by(self, camera: ParallelCamera) -> RayHits:
-        """What the camera sees of it."""
+    def cast_from(self, camera: ParallelCamera) -> RayHits:
+        """Return the hits of the camera's rays on it."""
         pixels = camera.window(self.mesh.vertices)
         starts = camera.origins(pixels)
         ray = -camera.axes[2]
@@ -132,8 +132,8 @@ class RayMesh:
         normals = unit_vectors((1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2])
         return RayHits(pixels[hit], depth, starts[hit] + depth[:, None] * ray, normals, faces)
 
-    def open_toward(self, points: Floats, direction: Floats) -> NDArray[np.bool_]:
-        """Whether nothing of it lies between points (n, 3) and a light far away in one direction (3,)."""
+    def is_lit_from(self, points: Floats, direction: Floats) -> NDArray[np.bool_]:
+        """Flag points (n, 3) that it does not hide from a light far away in a direction (3,)."""
         free: NDArray[np.bool_] = (
             self.rays.run(points, np.broadcast_to(direction, points.shape).copy(), query="OCCLUDED") < 0
         )
@@ -141,21 +141,26 @@ class RayMesh:
 
 
 def corner_normals(mesh: Mesh) -> Floats:
-    """The normal at each corner (f, 3, 3): the mean over the faces around it that are no crease away."""
+    """Return the normal at each corner of each triangle: (f, 3, 3).
+
+    It is the mean over the faces around the corner that no crease separates from the triangle.
+    """
     crosses, flat = mesh.crosses, mesh.normals
     vertex, face = mesh.faces.ravel(), np.repeat(np.arange(len(mesh.faces)), 3)
+    # pair each corner with every face around its vertex, then sum the crosses (normals, weighted by area) of
+    # those that are no crease away
     order = np.argsort(vertex, kind="stable")
     first, around = np.searchsorted(vertex[order], vertex), np.bincount(vertex)[vertex]
     corner = np.repeat(np.arange(len(vertex)), around)
-    turn = np.arange(len(corner)) - np.repeat(np.cumsum(around) - around, around)
-    other = face[order[first[corner] + turn]]
+    rank = np.arange(len(corner)) - np.repeat(np.cumsum(around) - around, around)
+    other = face[order[first[corner] + rank]]
     smooth = np.einsum("ij,ij->i", flat[face[corner]], flat[other]) > CREASE_COSINE
     sums = [np.bincount(corner[smooth], crosses[other[smooth], k], len(vertex)) for k in range(3)]
     return unit_vectors(np.stack(sums, axis=1)).reshape(-1, 3, 3)
 
 
 def unit_vectors(vectors: NDArray[np.floating]) -> Floats:
-    """Vectors (n, 3) at length 1; zeros stay."""
+    """Scale vectors (n, 3) to length 1; zeros stay."""
     lengths = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
     units: Floats = np.divide(vectors, np.where(lengths > 0, lengths, 1)).astype(np.float32)
     return units
@@ -166,14 +171,14 @@ SUN = (-0.50, 0.72, 0.50)  # The brightest direction: right, up, toward the eye
 
 
 def sky_lamps(camera: ParallelCamera) -> tuple[Floats, Floats]:
-    """Directions (n, 3) and brightness (n,) of the lamps, the points of a Fibonacci sphere.
+    """Return directions (n, 3) and brightness (n,) of lamps on a Fibonacci sphere.
 
     A surface that faces the sun, with nothing above it, receives 1.
     """
     place = np.arange(LAMPS) + 0.5
-    height, turn = 1 - 2 * place / LAMPS, place * np.pi * (3 - np.sqrt(5))
+    height, angle = 1 - 2 * place / LAMPS, place * np.pi * (3 - np.sqrt(5))  # the golden angle
     ring = np.sqrt(1 - height**2)
-    lamps = np.stack([ring * np.cos(turn), height, ring * np.sin(turn)], axis=1)
+    lamps = np.stack([ring * np.cos(angle), height, ring * np.sin(angle)], axis=1)
     sun = unit_vectors(np.array([SUN]))[0]
     brightness = 1.0 + 0.5 * height + 5.0 * np.exp(10.0 * (lamps @ sun - 1))
     brightness /= (brightness * np.clip(lamps @ sun, 0, None)).sum()
@@ -181,19 +186,19 @@ def sky_lamps(camera: ParallelCamera) -> tuple[Floats, Floats]:
 
 
 def shadowed_light(hits: RayHits, solid: RayMesh, camera: ParallelCamera) -> Floats:
-    """The light that arrives at each hit (m,), shadows of `solid` included."""
+    """Return the light that arrives at each hit (m,), shadows of `solid` included."""
     light = np.zeros(len(hits.pixels), dtype=np.float32)
     lifted = hits.points + LIFT * hits.normals
     for lamp, brightness in zip(*sky_lamps(camera), strict=True):
         slant = hits.normals @ lamp
         facing = np.flatnonzero(slant > 0)
-        free = solid.open_toward(lifted[facing], lamp)
+        free = solid.is_lit_from(lifted[facing], lamp)
         light[facing] += brightness * slant[facing] * free
     return light
 
 
 def soft_light(normals: Floats, camera: ParallelCamera) -> Floats:
-    """The light on what is translucent, by its normals (m, 3): 1 facing the sun, 0 facing away."""
+    """Return the light on what is translucent, by its normals (m, 3): 0 to 1, facing the sun."""
     sun = unit_vectors(np.array([SUN]))[0] @ camera.axes
     light: Floats = 0.5 + 0.5 * (normals @ sun)
     return light
@@ -204,14 +209,14 @@ RAYS_PER_PIXEL = 2  # Rays for each pixel of the final image, along each side
 
 @dataclass
 class LayeredImage:
-    """What has been seen so far at each point of a camera's image."""
+    """The colours seen so far at each point of a camera's image."""
 
     camera: ParallelCamera
     colour: Floats = field(init=False)
     """(n, 3), white where nothing is."""
     depth: Floats = field(init=False)
-    """(n,) [m]: of the solid things."""
-    veils: list[tuple[PixelIndices, Floats, Floats]] = field(default_factory=list)
+    """(n,) [m]: of what is solid."""
+    translucent: list[tuple[PixelIndices, Floats, Floats]] = field(default_factory=list)
     """Translucent layers: pixels (m,), depth (m,), colour and opacity (m, 4)."""
 
     def __post_init__(self) -> None:
@@ -225,34 +230,32 @@ class LayeredImage:
         seen = hits.pixels[free]
         self.colour[seen], self.depth[seen] = colour[free], hits.depth[free]
 
-    def add_veil(self, hits: RayHits, colour: Floats, opacity: Floats) -> None:
+    def add_translucent(self, hits: RayHits, colour: Floats, opacity: Floats) -> None:
         """Lay a translucent layer of colour (m, 3) and opacity (m,) over what is behind it."""
-        self.veils.append((hits.pixels, hits.depth, np.column_stack([colour, opacity]).astype(np.float32)))
+        self.translucent.append(
+            (hits.pixels, hits.depth, np.column_stack([colour, opacity]).astype(np.float32))
+        )
 
-    def finished(self) -> Floats:
-        """The image (rows / FINE, columns / FINE, 3) in [0, 1], its layers laid from back to front."""
+    def composed(self) -> Floats:
+        """Lay the layers from back to front: an image (rows, columns, 3) in [0, 1]."""
         colour = self.colour.copy()
         for pixels, paint in self._from_back_to_front():
             opacity = paint[:, 3:]
             colour[pixels] = colour[pixels] * (1 - opacity) + paint[:, :3] * opacity
-        fine = colour.reshape(
-            self.camera.rows // RAYS_PER_PIXEL,
-            RAYS_PER_PIXEL,
-            self.camera.columns // RAYS_PER_PIXEL,
-            RAYS_PER_PIXEL,
-            3,
-        )
+        rows, columns = (n // RAYS_PER_PIXEL for n in (self.camera.rows, self.camera.columns))
+        fine = colour.reshape(rows, RAYS_PER_PIXEL, columns, RAYS_PER_PIXEL, 3)
         averaged: Floats = np.clip(fine.mean(axis=(1, 3)), 0, 1)
         return averaged
 
     def _from_back_to_front(self) -> list[tuple[PixelIndices, Floats]]:
-        """The visible veils, so that no pixel occurs twice in a step."""
-        if not self.veils:
+        """Return the visible translucent hits, in steps in which no pixel occurs twice."""
+        if not self.translucent:
             return []
-        pixels, depth, paint = (np.concatenate(parts) for parts in zip(*self.veils, strict=True))
+        pixels, depth, paint = (np.concatenate(parts) for parts in zip(*self.translucent, strict=True))
+        # sort by pixel, the farthest first; step k has the hit of rank k of each pixel
         seen = np.flatnonzero(depth < self.depth[pixels])
         order = seen[np.lexsort((-depth[seen], pixels[seen]))]
         pixels, paint = pixels[order], paint[order]
         start = np.flatnonzero(np.r_[True, pixels[1:] != pixels[:-1]])
-        turn = np.arange(len(pixels)) - np.repeat(start, np.diff(np.r_[start, len(pixels)]))
-        return [(pixels[turn == k], paint[turn == k]) for k in range(int(turn.max(initial=-1)) + 1)]
+        rank = np.arange(len(pixels)) - np.repeat(start, np.diff(np.r_[start, len(pixels)]))
+        return [(pixels[rank == k], paint[rank == k]) for k in range(int(rank.max(initial=-1)) + 1)]

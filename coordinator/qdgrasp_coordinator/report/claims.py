@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.report.run_groups import RunGroup, SceneName, default_groups, measure_of, value_after
-from qdgrasp_coordinator.report.run_history import RunHistory
 
 RESAMPLES = 5000
 CONFIDENCE_LEVEL = 0.95
 RESAMPLING_SEED = 0
 RunValues = NDArray[np.float64]
-ScenesOfRuns = Sequence[RunValues]
-"""For each scene the values of its runs (n,)."""
+ScenesOfRuns = Sequence[RunValues]  # For each scene the values of its runs (n,)
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class ConfidenceInterval:
 
     value: float
     low: float
-    """NaN, as `high`: there is nothing to draw from, or only one run in each scene of only one scene."""
+    """NaN, as `high`, where a single run on a single scene, or nothing, is there to draw from."""
     high: float
     scenes: int
     runs: tuple[int, ...]
@@ -37,12 +35,12 @@ class ConfidenceInterval:
 
     @property
     def is_known(self) -> bool:
-        """Whether there is an interval at all."""
+        """True if there is an interval at all."""
         return not np.isnan(self.low)
 
 
 def mean_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> ConfidenceInterval:
-    """The mean over scenes of the means over runs; scenes without a run are left out."""
+    """Mean over scenes of the means over runs; scenes without a run are left out."""
     some = [found for found in values if len(found)]
     return _interval([(found,) for found in some], lambda arms: arms[..., 0].mean(axis=-1), 1, seed)
 
@@ -50,7 +48,7 @@ def mean_interval(values: ScenesOfRuns, seed: int = RESAMPLING_SEED) -> Confiden
 def ratio_interval(
     upper: ScenesOfRuns, lower: ScenesOfRuns, seed: int = RESAMPLING_SEED
 ) -> ConfidenceInterval:
-    """The ratio of two arms, their means in each scene scaled to a mean of 1 over both.
+    """Ratio of two arms, their means in each scene scaled to a mean of 1 over both.
 
     So each scene weighs the same, however large its numbers are, and exchanging the arms gives the
     reciprocal. Scenes where an arm has no run, or where both found nothing, are left out. Infinite where the
@@ -60,14 +58,13 @@ def ratio_interval(
         (a, b) for a, b in zip(upper, lower, strict=True) if len(a) and len(b) and a.mean() + b.mean() > 0
     ]
     scaled = [tuple(2 * arm / (a.mean() + b.mean()) for arm in (a, b)) for a, b in some]
-    return _interval(scaled, _quotient, 2, seed)
 
+    def quotient(arms: RunValues) -> RunValues:
+        above, below = np.moveaxis(arms.sum(axis=-2), -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where((above == 0) & (below == 0), 1.0, above / below)
 
-def _quotient(arms: RunValues) -> RunValues:
-    above, below = arms.sum(axis=-2)[..., 0], arms.sum(axis=-2)[..., 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        quotient: RunValues = np.where((above == 0) & (below == 0), 1.0, above / below)
-    return quotient
+    return _interval(scaled, quotient, 2, seed)
 
 
 def _interval(
@@ -89,7 +86,7 @@ def _interval(
 def resample(
     scenes: Sequence[tuple[RunValues, ...]], resamples: int, random: np.random.Generator
 ) -> RunValues:
-    """Means of each arm in each drawn scene: (resamples, scenes, arms)."""
+    """Draw scenes, and runs in each: means of each arm (resamples, scenes, arms)."""
     chosen = random.integers(len(scenes), size=(resamples, len(scenes)))
     means = np.empty((*chosen.shape, len(scenes[0])))
     for number, scene in enumerate(scenes):
@@ -101,43 +98,42 @@ def resample(
 
 
 FEW_RUNS = 5  # With fewer runs than this in an arm, a bootstrap interval is narrower than it should be
-GroupsByScene = dict[SceneName, dict[str, RunGroup]]
-"""On each scene, the entry of each method."""
+GroupsByScene = dict[SceneName, dict[str, RunGroup]]  # On each scene, the entry of each method
 
 
 @dataclass(frozen=True)
 class ClaimEvidence:
-    """One number."""
+    """One number that a claim is held against."""
 
     subject: str
-    """What is looked at, such as `contact_me_scs / contact_rand`."""
+    """The methods, such as `contact_me_scs / contact_rand`."""
     statistic: str
-    """What the number is."""
+    """The number's meaning."""
     interval: ConfidenceInterval
     evaluations: tuple[int, ...]
-    """After how many counted evaluations, on each scene."""
+    """Counted evaluations after which it is taken, on each scene."""
 
     @property
-    def is_of_few(self) -> bool:
-        """Whether so few runs are behind it that its interval is too narrow."""
+    def has_few_runs(self) -> bool:
+        """True if so few runs are behind it that its interval is too narrow."""
         return min(self.interval.runs, default=0) < FEW_RUNS
 
 
-def groups_by_scene(entries: Sequence[RunGroup]) -> GroupsByScene:
-    """The entries that findings are made of: those with any row; of several variants, the most usual one."""
-    return default_groups(entry for entry in entries if entry.settled)
+def groups_by_scene(groups: Sequence[RunGroup]) -> GroupsByScene:
+    """Choose the groups with any row that evidence is made of, the most usual variant of each."""
+    return default_groups(group for group in groups if group.finished_runs)
 
 
 def reached_ratio(scenes: GroupsByScene, *methods: str) -> ClaimEvidence | None:
-    """The ratio of what two methods reached after as many evaluations; None: no scene has both."""
+    """Compare what two methods reached after as many evaluations; None: no scene has both."""
     upper, lower = list[RunValues](), list[RunValues]()
     after, measures = list[int](), list[str]()
     for pair in _groups_of(scenes, methods):
         measure = measure_of(pair)
         measures.append(measure.name)
-        after.append(min(run.evaluations for entry in pair for run in entry.settled))
-        for arm, entry in zip((upper, lower), pair, strict=True):
-            arm.append(np.array([value_after(run, measure, after[-1]) for run in entry.settled]))
+        after.append(min(run.evaluations for group in pair for run in group.finished_runs))
+        for arm, group in zip((upper, lower), pair, strict=True):
+            arm.append(np.array([value_after(run, measure, after[-1]) for run in group.finished_runs]))
     if not after:
         return None
     statistic = f"ratio of {' and of '.join(dict.fromkeys(measures))}"
@@ -145,25 +141,25 @@ def reached_ratio(scenes: GroupsByScene, *methods: str) -> ClaimEvidence | None:
 
 
 def late_share(scenes: GroupsByScene, method: str) -> ClaimEvidence | None:
-    """The share of what a method reached that the second half of its evaluations added."""
-    chosen = [entry for (entry,) in _groups_of(scenes, (method,))]
+    """Share of what a method reached that the second half of its evaluations added."""
+    chosen = [group for (group,) in _groups_of(scenes, (method,))]
     if not chosen:
         return None
-    interval = mean_interval([_late_shares(entry) for entry in chosen])
+    interval = mean_interval([_late_shares(group) for group in chosen])
     return ClaimEvidence(method, "share added by the second half", interval, _least_evaluations(chosen))
 
 
-def _late_shares(entry: RunGroup) -> RunValues:
-    measure = measure_of([entry])
-    ends = np.array([value_after(run, measure, run.evaluations) for run in entry.settled])
-    halves = np.array([value_after(run, measure, run.evaluations // 2) for run in entry.settled])
+def _late_shares(group: RunGroup) -> RunValues:
+    measure = measure_of([group])
+    ends = np.array([value_after(run, measure, run.evaluations) for run in group.finished_runs])
+    halves = np.array([value_after(run, measure, run.evaluations // 2) for run in group.finished_runs])
     shares: RunValues = 1 - halves[ends > 0] / ends[ends > 0]
     return shares
 
 
 def near_nu_share(scenes: GroupsByScene, method: str) -> ClaimEvidence | None:
-    """The share of a method's successes with nu below pi / 4."""
-    chosen = [entry for (entry,) in _groups_of(scenes, (method,))]
+    """Share of a method's successes with nu below pi / 4."""
+    chosen = [group for (group,) in _groups_of(scenes, (method,))]
     if not chosen:
         return None
     return ClaimEvidence(
@@ -171,35 +167,34 @@ def near_nu_share(scenes: GroupsByScene, method: str) -> ClaimEvidence | None:
     )
 
 
-def near_nu_interval(entries: Sequence[RunGroup]) -> ConfidenceInterval:
-    """The share of successes with nu below pi / 4: mean over scenes of the mean over runs."""
-    return mean_interval([_near_nu_shares(entry.settled) for entry in entries])
-
-
-def _near_nu_shares(runs: Sequence[RunHistory]) -> RunValues:
-    return np.array([run.near_share for run in runs if run.near_share is not None], dtype=np.float64)
+def near_nu_interval(groups: Sequence[RunGroup]) -> ConfidenceInterval:
+    """Share of successes with nu below pi / 4: mean over scenes of the mean over runs."""
+    shares = [
+        [run.near_share for run in group.finished_runs if run.near_share is not None] for group in groups
+    ]
+    return mean_interval([np.array(found, dtype=np.float64) for found in shares])
 
 
 def _groups_of(scenes: GroupsByScene, methods: tuple[str, ...]) -> Iterator[tuple[RunGroup, ...]]:
-    """The entries of these methods on each scene that has them all."""
-    for entries in scenes.values():
-        if all(method in entries for method in methods):
-            yield tuple(entries[method] for method in methods)
+    """Yield the groups of these methods on each scene that has them all."""
+    for groups in scenes.values():
+        if all(method in groups for method in methods):
+            yield tuple(groups[method] for method in methods)
 
 
-def _least_evaluations(entries: Sequence[RunGroup]) -> tuple[int, ...]:
-    return tuple(min(run.evaluations for run in entry.settled) for entry in entries)
+def _least_evaluations(groups: Sequence[RunGroup]) -> tuple[int, ...]:
+    return tuple(min(run.evaluations for run in group.finished_runs) for group in groups)
 
 
 CLOSE_RATIO = 1.25  # Two methods are close when neither reaches this many times what the other does
 FAR_RATIO = 0.5  # A method lags far behind when it reaches less than this share of what the other does
 PLATEAU_SHARE = 0.1
-"""A method plateaus when the second half of its evaluations adds less than this share of its end."""
+"""A method plateaus when the second half of its evaluations adds less than this share."""
 MAJORITY_SHARE = 0.5  # Successes concentrate where more than this share of them is
 
 
 class ClaimAgreement(Enum):
-    """Whether the runs agree with a claim."""
+    """Agreement of the runs with a claim."""
 
     AGREES = "agrees"
     DOES_NOT = "does not"
@@ -215,7 +210,7 @@ class AgreementBand:
     high: float
 
     def verdict(self, found: ConfidenceInterval) -> ClaimAgreement:
-        """Whether the whole interval is in the band, outside of it, or neither."""
+        """Judge whether the whole interval is in the band, outside of it, or neither."""
         if not found.is_known:
             return ClaimAgreement.UNKNOWN
         if found.low > self.low and (found.high < self.high or math.isinf(self.high)):
@@ -226,47 +221,52 @@ class AgreementBand:
 
 @dataclass(frozen=True)
 class PaperClaim:
-    """What the paper says, and how it is held against runs."""
+    """A claim of the paper, and the way it is held against runs."""
 
     letter: str
     words: str
-    find: Callable[..., ClaimEvidence | None]
+    measure: Callable[..., ClaimEvidence | None]
     methods: tuple[tuple[str, ...], ...]
-    """What `find` is called with after the scenes, for each number."""
+    """Arguments of `measure` after the scenes, for each number."""
     band: AgreementBand
     criterion: str
-    """What the band means."""
+    """Meaning of the band."""
     beside: tuple[tuple[str, ...], ...] = ()
     """The same for other methods, to compare with; not judged."""
 
 
 @dataclass(frozen=True)
 class JudgedClaim:
-    """A claim and what the runs say."""
+    """A claim and its evidence."""
 
     claim: PaperClaim
-    findings: tuple[ClaimEvidence, ...]
+    evidence: tuple[ClaimEvidence, ...]
     beside: tuple[ClaimEvidence, ...]
 
     @property
-    def absent(self) -> int:
-        """How many of its numbers lack a method in this campaign."""
-        return len(self.claim.methods) - len(self.findings)
+    def numbers(self) -> list[tuple[ClaimEvidence, bool]]:
+        """Its numbers, those to compare with at the end; True: it is judged."""
+        return [(found, True) for found in self.evidence] + [(found, False) for found in self.beside]
 
     @property
-    def is_of_few(self) -> bool:
-        """Whether one of its numbers has so few runs behind it that its interval is too narrow."""
-        return any(finding.is_of_few for finding in self.findings)
+    def absent_count(self) -> int:
+        """Numbers that lack a method in this campaign."""
+        return len(self.claim.methods) - len(self.evidence)
+
+    @property
+    def has_few_runs(self) -> bool:
+        """True if one of its numbers has so few runs that its interval is too narrow."""
+        return any(number.has_few_runs for number in self.evidence)
 
     @property
     def words(self) -> str:
         """The verdict for a person."""
-        return f"{self.verdict.value}{' (of few runs)' if self.is_of_few else ''}"
+        return f"{self.verdict.value}{' (of few runs)' if self.has_few_runs else ''}"
 
     @property
     def verdict(self) -> ClaimAgreement:
         """All numbers agree, one does not, or neither can be said."""
-        verdicts = {self.claim.band.verdict(finding.interval) for finding in self.findings}
+        verdicts = {self.claim.band.verdict(number.interval) for number in self.evidence}
         if not verdicts:
             return ClaimAgreement.ABSENT
         if ClaimAgreement.DOES_NOT in verdicts:
@@ -274,9 +274,9 @@ class JudgedClaim:
         return ClaimAgreement.UNKNOWN if ClaimAgreement.UNKNOWN in verdicts else ClaimAgreement.AGREES
 
 
-def judge_claims(entries: Sequence[RunGroup]) -> list[JudgedClaim]:
+def judge_claims(groups: Sequence[RunGroup]) -> list[JudgedClaim]:
     """Hold every claim against the runs at hand."""
-    scenes = groups_by_scene(entries)
+    scenes = groups_by_scene(groups)
     return [
         JudgedClaim(claim, _evidence(claim, claim.methods, scenes), _evidence(claim, claim.beside, scenes))
         for claim in CLAIMS
@@ -286,7 +286,7 @@ def judge_claims(entries: Sequence[RunGroup]) -> list[JudgedClaim]:
 def _evidence(
     claim: PaperClaim, methods: Sequence[tuple[str, ...]], scenes: GroupsByScene
 ) -> tuple[ClaimEvidence, ...]:
-    return tuple(filter(None, (claim.find(scenes, *names) for names in methods)))
+    return tuple(filter(None, (claim.measure(scenes, *names) for names in methods)))
 
 
 SEARCHES_WITH_PRIOR = ("contact_me_scs", "approach_me_scs")

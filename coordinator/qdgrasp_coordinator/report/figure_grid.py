@@ -37,35 +37,34 @@ FAMILIES: dict[str, Dashes] = {
     "me_rand": (0, (5, 1.6, 1.1, 1.6)),
     "rand": (0, (4.2, 2.2)),
 }
-"""Line styles: the searches are drawn through, dotted or dash-dotted, plain sampling is dashed."""
+"""Line styles: searches are drawn through, dotted or dash-dotted, plain sampling is dashed."""
 PALEST_VARIANT = 0.65  # How much white is in the palest of a method's variants
 PRIOR_ORDER = ("aimed", "contact", "approach", "antipodal", "spherical")
 """The priors as they stand in legends and side by side: the default method's leads."""
 
 
-MethodVariant = tuple[str, str]
-"""A method, and the words that tell its variant from others."""
+MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
 
 
 class LineStyle(NamedTuple):
-    """How an arm is drawn."""
+    """Colour and dashes of a method's variant."""
 
     colour: str
     dashes: Dashes
 
 
 def prior_of(method: str) -> str:
-    """The prior of a method."""
+    """Return the prior of a method."""
     return METHODS[method].prior
 
 
 def family_of(method: str) -> str:
-    """The family of a method: its name without the prior's prefix."""
+    """Return the family of a method: its name without the prior's prefix."""
     return method.removeprefix(PRIORS[prior_of(method)].prefix)
 
 
 def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]:
-    """The look of each arm; of the variants of one method, each is paler than the one before."""
+    """Choose the style of each variant; of one method, each is paler than the one before."""
     variants: dict[str, list[MethodVariant]] = {}
     for arm in dict.fromkeys(arms):
         variants.setdefault(arm[0], []).append(arm)
@@ -77,7 +76,7 @@ def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]
 
 
 def hue_of(method: str, pale: float = 0.0) -> str:
-    """The colour of a method, from its full hue at 0 to the palest of its variants at 1."""
+    """Return the colour of a method, from its full hue at 0 to its palest variant at 1."""
     red, green, blue = (
         part + (1 - part) * PALEST_VARIANT * pale for part in to_rgb(PRIOR_HUES[prior_of(method)])
     )
@@ -85,7 +84,7 @@ def hue_of(method: str, pale: float = 0.0) -> str:
 
 
 def prior_words(prior: str) -> str:
-    """What a prior is called."""
+    """Return the name of a prior in figures."""
     return PRIOR_WORDS.get(prior, prior)
 
 
@@ -102,38 +101,38 @@ class FigureGrid:
     panel: tuple[float, float]
     """Width and height of a panel [inches]."""
     legend_rows: int = 0
-    least: float = 6.4
+    least_width: float = 6.4
     """The figure is at least so wide [inches]."""
-    over: float = 0.62
+    space_above: float = 0.62
     """Room above each panel for its heading [inches]."""
-    below: float = 0.5
+    space_below: float = 0.5
     """Room below each panel for its axis [inches]."""
-    aside: float = 0.6
+    space_beside: float = 0.6
     """Room between panels side by side [inches]."""
     left: float = 0.7
     figure: Figure = field(init=False)
 
     def __post_init__(self) -> None:
-        width = self.left + self.columns * (self.panel[0] + self.aside) - self.aside + 0.35
-        height = self._top(self.rows) - self.over + 0.08
-        self.size = max(width, self.least), height
+        width = self.left + self.columns * (self.panel[0] + self.space_beside) - self.space_beside + 0.35
+        height = self._top(self.rows) - self.space_above + 0.08
+        self.size = max(width, self.least_width), height
         self.figure = Figure(figsize=self.size, facecolor="white")
         FigureCanvasAgg(self.figure)
 
     def _top(self, row: int) -> float:
-        """How far below the figure's upper edge the panels of a row begin [inches]."""
+        """Return the distance of a row's panels from the figure's upper edge [inches]."""
         head = 0.9 + 0.19 * self.legend_rows
-        return head + self.over + row * (self.panel[1] + self.below + self.over)
+        return head + self.space_above + row * (self.panel[1] + self.space_below + self.space_above)
 
     def axes(self, row: int, column: int) -> Axes:
-        """The panel in a row and a column, from the upper left."""
+        """Add the panel in a row and a column, from the upper left."""
         width, height = self.size
-        x = self.left + column * (self.panel[0] + self.aside)
+        x = self.left + column * (self.panel[0] + self.space_beside)
         y = height - self._top(row) - self.panel[1]
         return self.figure.add_axes((x / width, y / height, self.panel[0] / width, self.panel[1] / height))
 
     def title(self, title: str, words: str) -> None:
-        """What the figure shows, and under it how."""
+        """Write a title, and a line of words under it."""
         width, height = self.size
         x = 0.3 / width
         self.figure.text(
@@ -142,7 +141,7 @@ class FigureGrid:
         self.figure.text(x, 1 - 0.6 / height, figure_text(words), size=8.5, color=FAINT, va="center")
 
     def legend(self, handles: list[Line2D], columns: int, length: float = 3.2) -> None:
-        """Name the lines, drawn `length` letters long, `columns` side by side, filled column by column."""
+        """Name the lines, drawn `length` letters long, in `columns` columns."""
         width, height = self.size
         self.figure.legend(
             handles=handles, loc="upper left", bbox_to_anchor=(0.3 / width, 1 - 0.8 / height), ncols=columns,
@@ -160,7 +159,7 @@ class FigureGrid:
 
 
 def plain_axes(axes: Axes) -> None:
-    """Two faint axes, faint rules behind the data, few ticks."""
+    """Draw two faint axes, faint rules behind the data, few ticks."""
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.spines["bottom"].set_color(FAINT)
     axes.tick_params(colors=FAINT, labelsize=8, length=3, width=0.7)
@@ -171,14 +170,14 @@ def plain_axes(axes: Axes) -> None:
 
 
 def panel_heading(axes: Axes, words: str, *under: str, color: str = INK) -> None:
-    """A panel's heading, and fainter lines under it, all above the panel."""
+    """Write a panel's heading, and fainter lines under it, all above the panel."""
     for line, text in enumerate(reversed(under)):
         words_above(axes, text, 5 + 10.5 * line, size=7.5, color=FAINT)
     words_above(axes, words, 6 + 10.5 * len(under), size=10, weight="bold", color=color)
 
 
 def words_above(axes: Axes, words: str, height: float, **style: Any) -> None:
-    """Words above a panel, `height` points over its upper left corner."""
+    """Write words above a panel, `height` points over its upper left corner."""
     axes.annotate(
         figure_text(words),
         (0, 1),
@@ -191,7 +190,7 @@ def words_above(axes: Axes, words: str, height: float, **style: Any) -> None:
 
 
 def evaluation_axis(axes: Axes, end: int, *, log: bool) -> None:
-    """Make x count evaluations up to `end`: from 0, or from a hundredth of it on a logarithmic axis."""
+    """Make x count evaluations from 0, or from a hundredth of `end` on a logarithmic axis."""
     if log:
         axes.set_xscale("log")
         axes.xaxis.set_minor_formatter(NullFormatter())
@@ -203,7 +202,7 @@ def evaluation_axis(axes: Axes, end: int, *, log: bool) -> None:
 
 
 def value_axis(axes: Axes, top: float, *, share: bool, log: bool) -> None:
-    """Make y a share or a count up to a little more than `top`: from 0, or over three decades."""
+    """Make y a share or a count up to little more than `top`: from 0, or over three decades."""
     if log:
         axes.set_yscale("log")
         axes.yaxis.set_minor_formatter(NullFormatter())
@@ -215,7 +214,7 @@ def value_axis(axes: Axes, top: float, *, share: bool, log: bool) -> None:
 
 
 def short_number(number: float) -> str:
-    """A number of evaluations in little room: 500, 2k, 10M."""
+    """Write a number of evaluations in little room: 500, 2k, 10M."""
     units: Mapping[str, float] = {"M": 1e6, "k": 1e3}
     for unit, size in units.items():
         if number >= size:

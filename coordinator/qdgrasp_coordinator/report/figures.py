@@ -67,65 +67,65 @@ CURVE_CAPTION = "Median over seeds; shaded: quartiles. Circle: an unfinished run
 
 
 def draw_curves(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid:
-    """Every method on every scene: a row for each hand, or one scene after the other."""
+    """Draw every method on every scene: a row for each hand, or one scene after the other."""
     places = _panel_places([panel.scene for panel in shown])
     rows, columns = (1 + max(place[axis] for place in places) for axis in (0, 1))
     drawn = _panel_styles(shown)
     handles, across = _method_legend(drawn)
     size = PANEL_SIZES.get(columns, CURVE_PANEL_SIZE)
-    sheet = FigureGrid(
-        rows, columns, size, legend_rows=len(handles) // across, least=0.4 + LABEL_WIDTH * across
+    grid = FigureGrid(
+        rows, columns, size, legend_rows=len(handles) // across, least_width=0.4 + LABEL_WIDTH * across
     )
     for panel, (row, column) in zip(shown, places, strict=True):
-        axes = sheet.axes(row, column)
+        axes = grid.axes(row, column)
         _set_axes(axes, panel, log)
         panel_heading(
             axes,
             panel.scene.words,
             measure_words(panel),
-            run_words([one.entry for one in panel.curves], size[0]),
+            run_words([one.group for one in panel.curves], size[0]),
         )
         for one in panel.curves:
-            draw_curve(axes, one, drawn[one.entry.arm])
-    sheet.title(_curves_title(shown), CURVE_CAPTION)
-    sheet.legend(handles, across)
-    return sheet
+            draw_curve(axes, one, drawn[one.group.variant_key])
+    grid.title(_curves_title(shown), CURVE_CAPTION)
+    grid.legend(handles, across)
+    return grid
 
 
 def draw_prior_matrix(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid:
-    """A row for each scene, a column for each prior; in it the searches with that prior."""
+    """Draw a row for each scene, a column for each prior; in it the searches with that prior."""
     drawn = _panel_styles(shown)
-    present = {prior_of(one.entry.method) for panel in shown for one in panel.curves}
+    present = {prior_of(one.group.method) for panel in shown for one in panel.curves}
     priors = [prior for prior in PRIOR_ORDER if prior in present]
-    families = {family_of(one.entry.method) for panel in shown for one in panel.curves}
-    sheet = FigureGrid(len(shown), len(priors), (2.5, 1.9), legend_rows=1, over=0.84, least=8.8)
+    families = {family_of(one.group.method) for panel in shown for one in panel.curves}
+    grid = FigureGrid(len(shown), len(priors), (2.5, 1.9), legend_rows=1, space_above=0.84, least_width=8.8)
     for row, panel in enumerate(shown):
         for column, prior in enumerate(priors):
-            axes = sheet.axes(row, column)
+            axes = grid.axes(row, column)
             _set_axes(axes, panel, log)
             _draw_curves_of_prior(axes, panel, prior, drawn)
-            mine = [one.entry for one in panel.curves if prior_of(one.entry.method) == prior]
+            mine = [one.group for one in panel.curves if prior_of(one.group.method) == prior]
             words = (panel.scene.words, measure_words(panel)) if column == 0 else ("", "")
             panel_heading(axes, words[0], words[1], run_words(mine, 2.5) if mine else "not in this campaign")
             if row == 0:
                 words_above(axes, prior_words(prior), 44, size=10.5, weight="bold", color=PRIOR_HUES[prior])
-    sheet.title("Searches with each prior", f"{CURVE_CAPTION} Grey: the other priors.")
+    grid.title("Searches with each prior", f"{CURVE_CAPTION} Grey: the other priors.")
     lines = [_legend_line(family, INK, dashes) for family, dashes in FAMILIES.items() if family in families]
-    sheet.legend(lines, len(lines))
-    return sheet
+    grid.legend(lines, len(lines))
+    return grid
 
 
-def draw_curve(axes: Axes, one: QuartileCurve, look: LineStyle) -> None:
+def draw_curve(axes: Axes, one: QuartileCurve, style: LineStyle) -> None:
     """Draw a curve: thick where all its runs are in it, thin beyond."""
     if not one.runs.any():
         return
-    colour, dashes, whole = look.colour, look.dashes, one.whole
-    for part, width in ((slice(None, whole), 1.9), (slice(whole - 1, None), 0.8)):
+    colour, dashes, common = style.colour, style.dashes, one.common_points
+    for part, width in ((slice(None, common), 1.9), (slice(common - 1, None), 0.8)):
         axes.plot(one.evaluations[part], one.median[part], color=colour, linestyle=dashes, linewidth=width)
     axes.fill_between(one.evaluations, one.low, one.high, color=colour, alpha=BAND_OPACITY, linewidth=0)
-    for run in one.entry.runs:
+    for run in one.group.runs:
         if run.evaluations and not run.complete:
-            end = one.measure.of(run, run.evaluations)
+            end = one.measure.values(run, run.evaluations)
             axes.plot([run.evaluations], [end], marker="o", markersize=4.5, markerfacecolor="white",
                       color=colour, clip_on=False, zorder=5)  # fmt: skip
 
@@ -134,8 +134,8 @@ def _draw_curves_of_prior(
     axes: Axes, panel: CurvePanel, prior: str, drawn: Mapping[MethodVariant, LineStyle]
 ) -> None:
     for one in panel.curves:
-        if prior_of(one.entry.method) == prior:
-            draw_curve(axes, one, drawn[one.entry.arm])
+        if prior_of(one.group.method) == prior:
+            draw_curve(axes, one, drawn[one.group.variant_key])
         else:
             axes.plot(one.evaluations, one.median, color=CONTEXT, linewidth=0.8, zorder=1)
 
@@ -143,18 +143,17 @@ def _draw_curves_of_prior(
 def _set_axes(axes: Axes, panel: CurvePanel, log: bool) -> None:
     plain_axes(axes)
     evaluation_axis(axes, panel.end, log=log)
-    value_axis(axes, panel.top, share=panel.measure is COVERAGE, log=log)
+    value_axis(axes, panel.greatest_value, share=panel.measure is COVERAGE, log=log)
 
 
 def _curves_title(shown: Sequence[CurvePanel]) -> str:
     covered = [panel.measure is COVERAGE for panel in shown]
-    if all(covered):
-        return "Coverage of S_G over evaluations"
-    return f"{'Coverage of S_G, or success cells,' if any(covered) else 'Success cells'} over evaluations"
+    mixed = "Coverage of S_G, or success cells," if any(covered) else "Success cells"
+    return f"{'Coverage of S_G' if all(covered) else mixed} over evaluations"
 
 
 def _panel_places(scenes: Sequence[SceneName]) -> list[tuple[int, int]]:
-    """Row and column of each scene's panel: its hand's and its object's, unless that leaves many holes."""
+    """Place the scenes by hand and object, or in turn if that leaves many panels empty."""
     hands = list(dict.fromkeys((scene.gripper, scene.protocol) for scene in scenes))
     objects = sorted({scene.object for scene in scenes})
     if len(hands) == 1 or len(objects) == 1 or len(scenes) < LEAST_FILLED * len(hands) * len(objects):
@@ -163,12 +162,15 @@ def _panel_places(scenes: Sequence[SceneName]) -> list[tuple[int, int]]:
 
 
 def _panel_styles(shown: Sequence[CurvePanel]) -> dict[MethodVariant, LineStyle]:
-    return line_styles(one.entry.arm for panel in shown for one in panel.curves)
+    return line_styles(one.group.variant_key for panel in shown for one in panel.curves)
 
 
 def _method_legend(drawn: Mapping[MethodVariant, LineStyle]) -> tuple[list[Line2D], int]:
-    """Methods as a matrix: a column for each prior, in it the families in their order."""
-    columns = [[arm for f in FAMILIES for arm in drawn if _is_of(arm, prior, f)] for prior in PRIOR_ORDER]
+    """Arrange methods as a matrix: a column for each prior, in it the families in their order."""
+    columns = [
+        [arm for f in FAMILIES for arm in drawn if (prior_of(arm[0]), family_of(arm[0])) == (prior, f)]
+        for prior in PRIOR_ORDER
+    ]
     filled = [column for column in columns if column]
     rows = max(map(len, filled))
     empty = _legend_line("", "none", "-")
@@ -180,10 +182,6 @@ def _method_legend(drawn: Mapping[MethodVariant, LineStyle]) -> tuple[list[Line2
     return handles, len(filled)
 
 
-def _is_of(arm: MethodVariant, prior: str, family: str) -> bool:
-    return (prior_of(arm[0]), family_of(arm[0])) == (prior, family)
-
-
 def _legend_line(label: str, colour: str, dashes: Dashes) -> Line2D:
     return Line2D([], [], color=colour, linestyle=dashes, linewidth=1.9, label=label)
 
@@ -191,7 +189,7 @@ def _legend_line(label: str, colour: str, dashes: Dashes) -> Line2D:
 NU_TICKS = (("0", 0.0), ("\u03c0/4", 0.25), ("\u03c0/2", 0.5), ("3\u03c0/4", 0.75), ("\u03c0", 1.0))
 NU_PANEL_SIZE = (3.3, 1.3)
 NU_PRIORS = ("contact", "approach")
-"""Priors whose palm looks at the surface; antipodal hands stand beside the line between their points."""
+"""Priors whose palm looks at the surface; antipodal hands lie along their points' line."""
 NU_BOUNDS = {"approach": "at most \u03c0/4 by its prior"}  # Priors that leave nu no choice
 
 
@@ -212,37 +210,35 @@ class NuDistribution:
     """Of the shortest and of the longest of these runs."""
 
 
-def nu_distributions(entries: Sequence[RunGroup]) -> list[NuDistribution]:
-    """The distributions of all methods whose palm looks at the surface, over all scenes with a success."""
+def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
+    """Distributions of all methods whose palm looks at the surface, over scenes with a success."""
     methods: dict[str, list[RunGroup]] = {}
-    for entry in entries:
-        if prior_of(entry.method) in NU_PRIORS and any(run.nu.any() for run in entry.settled):
-            methods.setdefault(entry.name, []).append(entry)
+    for group in groups:
+        if prior_of(group.method) in NU_PRIORS and any(run.nu.any() for run in group.finished_runs):
+            methods.setdefault(group.name, []).append(group)
     return [_nu_distribution(same) for same in methods.values()]
 
 
-def _nu_distribution(entries: Sequence[RunGroup]) -> NuDistribution:
-    scenes = [[run for run in entry.settled if run.nu.any()] for entry in entries]
+def _nu_distribution(groups: Sequence[RunGroup]) -> NuDistribution:
+    scenes = [[run for run in group.finished_runs if run.nu.any()] for group in groups]
     share = np.mean([np.mean([run.nu / run.nu.sum() for run in runs], axis=0) for runs in scenes], axis=0)
     ends = [run.evaluations for runs in scenes for run in runs]
-    near = near_nu_interval(entries)
-    return NuDistribution(*entries[0].arm, share, near, len(scenes), len(ends), (min(ends), max(ends)))
+    near = near_nu_interval(groups)
+    return NuDistribution(*groups[0].variant_key, share, near, len(scenes), len(ends), (min(ends), max(ends)))
 
 
 def draw_nu(found: Sequence[NuDistribution]) -> FigureGrid:
-    """A column for each prior, a row for each family of searches and each of its variants."""
+    """Draw a column for each prior, a row for each family of searches and each variant."""
     priors = [prior for prior in NU_PRIORS if any(prior_of(lean.method) == prior for lean in found)]
-    rows = sorted(
-        {_matrix_row(lean) for lean in found}, key=lambda row: (list(FAMILIES).index(row[0]), row[1])
-    )
-    sheet = FigureGrid(len(rows), len(priors), NU_PANEL_SIZE, over=0.7)
+    rows = sorted({_matrix_row(one) for one in found}, key=lambda row: (list(FAMILIES).index(row[0]), row[1]))
+    grid = FigureGrid(len(rows), len(priors), NU_PANEL_SIZE, space_above=0.7)
     for lean in found:
         row = _matrix_row(lean)
         top = max(float(one.share.max()) for one in found if _matrix_row(one) == row)
-        _draw_distribution(sheet.axes(rows.index(row), priors.index(prior_of(lean.method))), lean, top)
+        _draw_distribution(grid.axes(rows.index(row), priors.index(prior_of(lean.method))), lean, top)
     words = "Share of successes in bins of 7.5\u00b0; each scene and each run counts alike."
-    sheet.title("Lean \u03bd of successes from the surface normal", words)
-    return sheet
+    grid.title("Lean \u03bd of successes from the surface normal", words)
+    return grid
 
 
 def _matrix_row(lean: NuDistribution) -> tuple[str, str]:
@@ -268,7 +264,7 @@ def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
 
 
 def near_words(lean: NuDistribution) -> str:
-    """The share below pi / 4 with its interval."""
+    """Describe the share below pi / 4 with its interval."""
     bound = NU_BOUNDS.get(prior_of(lean.method))
     if bound:
         return bound
@@ -278,7 +274,7 @@ def near_words(lean: NuDistribution) -> str:
 
 
 def sample_words(lean: NuDistribution) -> str:
-    """What is behind a distribution."""
+    """Describe the sample behind a distribution."""
     low, high = lean.evaluations
     ends = f"{low:,}" if low == high else f"{low:,}\u2013{high:,}"
     scenes = counted(lean.scenes, "scene")
@@ -287,22 +283,22 @@ def sample_words(lean: NuDistribution) -> str:
 
 
 DEFAULT_DRAWN_METHOD = next(iter(METHODS))
-"""The method that is drawn where it is in a campaign and no other is asked for: the default one."""
+"""Drawn where it is in a campaign and no other is asked for."""
 VOXEL_COLUMNS, VOXEL_PANEL_INCHES, VOXEL_PIXELS = 4, 3.1, 460
 LEGEND_ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)  # Named in the legend of robust runs
 
 
 @dataclass(frozen=True)
 class RunVoxels:
-    """The cells of one run with a success, and how robust the best one in each is."""
+    """The cells of one run with a success, and the most robust success in each."""
 
     name: SceneName
     run: RunHistory
     scene: Scene
     best: Rows
-    """(n,): the fittest success of each cell, of equals the first; with trials, `fitness` is their sum."""
+    """(n,): the fittest success of each cell, of equals the first; `fitness` sums its trials."""
     eta: NDArray[np.float64] | None
-    """(n,): the share of shakes it survived in all trials; None where the protocol has none."""
+    """(n,): share of shakes survived in all trials; None where the protocol has none."""
 
     @property
     def worth(self) -> NDArray[np.float64]:
@@ -315,73 +311,68 @@ class RunVoxels:
         return cells(self.best["descriptor"][:, :3])
 
 
-def drawn_method(entries: Sequence[RunGroup]) -> str | None:
-    """The favourite where it found anything, else what found the most cells; None: nothing did."""
+def drawn_method(groups: Sequence[RunGroup]) -> str | None:
+    """Choose the default method if it found anything, else the one with most cells, or None."""
     found: dict[str, int] = {}
-    for entry in entries:
-        found[entry.method] = found.get(entry.method, 0) + sum(run.cells.end for run in entry.runs)
+    for group in groups:
+        found[group.method] = found.get(group.method, 0) + sum(run.cells.end for run in group.runs)
     best = max(found, key=lambda method: found[method], default="")
     return DEFAULT_DRAWN_METHOD if found.get(DEFAULT_DRAWN_METHOD) else best if found.get(best) else None
 
 
-def run_voxels(entries: Sequence[RunGroup], method: str) -> list[RunVoxels]:
-    """On each scene the cells of the method's run with the median number of them; needs the run's scene."""
-    chosen = default_groups(entry for entry in entries if entry.method == method and entry.settled)
-    scenes = [scene for scene in dict.fromkeys(entry.scene for entry in entries) if scene in chosen]
+def run_voxels(groups: Sequence[RunGroup], method: str) -> list[RunVoxels]:
+    """On each scene, the cells of the run with the median number of them; needs its scene."""
+    chosen = default_groups(group for group in groups if group.method == method and group.finished_runs)
+    scenes = [scene for scene in dict.fromkeys(group.scene for group in groups) if scene in chosen]
     runs = [(scene, median_run(chosen[scene][method])) for scene in scenes]
     return [_voxels_of_run(scene, run) for scene, run in runs if RunFolder(run.path).has_bundle()]
 
 
-def median_run(entry: RunGroup) -> RunHistory:
-    """The run with the median number of success cells; of an even number, the one below."""
-    ordered = sorted(entry.settled, key=lambda run: run.cells.end)
+def median_run(group: RunGroup) -> RunHistory:
+    """Return the run with the median number of cells; of an even number, the one below."""
+    ordered = sorted(group.finished_runs, key=lambda run: run.cells.end)
     return ordered[(len(ordered) - 1) // 2]
 
 
 def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
-    folder, per_success = RunFolder(run.path), trial_count(run.spec.protocol)
+    folder, trials = RunFolder(run.path), trial_count(run.spec.protocol)
     with folder.journal() as journal:
-        found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.kept(), per_success)])
+        found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.kept(), trials)])
     best = best_in_cells(found)
-    return RunVoxels(
-        name, run, folder.scene(), best, eta(best["fitness"], per_success) if per_success else None
-    )
+    return RunVoxels(name, run, folder.scene(), best, eta(best["fitness"], trials) if trials else None)
 
 
 def draw_voxels(shown: Sequence[RunVoxels], method: str) -> FigureGrid:
-    """One view for each scene."""
+    """Draw one view for each scene."""
     columns = min(VOXEL_COLUMNS, len(shown))
     handles = _voxel_legend(shown)
-    sheet = FigureGrid(
+    grid = FigureGrid(
         -(-len(shown) // columns),
         columns,
         (VOXEL_PANEL_INCHES, VOXEL_PANEL_INCHES),
         legend_rows=1,
-        below=0.1,
-        aside=0.3,
+        space_below=0.1,
+        space_beside=0.3,
         left=0.3,
-        least=0.4 + 1.75 * len(handles),
+        least_width=0.4 + 1.75 * len(handles),
     )
     for number, one in enumerate(shown):
-        axes = sheet.axes(*divmod(number, columns))
-        view = view_of_cells(
-            one.scene, one.best, best_azimuth(one.scene, one.best), VOXEL_PIXELS, _voxel_hues(one)
-        )
+        axes = grid.axes(*divmod(number, columns))
+        hues = hues_of_fitness(one.best["fitness"]) if one.eta is None else _hues_of_eta(one.eta)
+        view = view_of_cells(one.scene, one.best, best_azimuth(one.scene, one.best), VOXEL_PIXELS, hues)
+        run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
+        run += "" if one.run.complete else ", unfinished"
         axes.imshow(view.image, interpolation="bicubic")
         axes.set_axis_off()
         scale_bar(axes, view)
         axes_triad(axes, view)
-        panel_heading(axes, one.name.words, _voxel_counts(one, view.whole), _run_words(one.run))
-    sheet.title(
+        panel_heading(axes, one.name.words, _voxel_counts(one, view.is_uncut), run)
+    grid.title(
         f"Where {method} had successes",
         "Cells of 1 cm that held the hand, by the most robust success in each.",
     )
-    sheet.legend(handles, len(handles), length=1.0)
-    return sheet
-
-
-def _voxel_hues(one: RunVoxels) -> Floats:
-    return hues_of_fitness(one.best["fitness"]) if one.eta is None else _hues_of_eta(one.eta)
+    grid.legend(handles, len(handles), length=1.0)
+    return grid
 
 
 def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
@@ -389,28 +380,18 @@ def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
     return hues
 
 
-def _voxel_counts(one: RunVoxels, whole: bool) -> str:
-    cut = "" if whole else "; cut open"
+def _voxel_counts(one: RunVoxels, is_uncut: bool) -> str:
+    cut = "" if is_uncut else "; cut open"
     if one.eta is None:
         return f"{len(one.best):,} cells, {int((one.best['fitness'] == ROBUST).sum()):,} robust{cut}"
     return f"{len(one.best):,} cells, median \u03b7 {np.median(one.eta) if len(one.eta) else 0:.2f}{cut}"
 
 
-def _run_words(run: RunHistory) -> str:
-    mark = "" if run.complete else ", unfinished"
-    return f"seed {run.spec.seed}, {run.evaluations:,} evaluations{mark}"
-
-
 def _voxel_legend(shown: Sequence[RunVoxels]) -> list[Line2D]:
     fitness = [(to_rgb(hue), words) for hue, words in zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)]
     etas = [(tuple(_hues_of_eta(np.array([eta]))[0]), f"\u03b7 = {eta:g}") for eta in LEGEND_ETAS]
-    kinds = [
-        (fitness, any(one.eta is None for one in shown)),
-        (etas, any(one.eta is not None for one in shown)),
-    ]
+    kinds = {one.eta is None for one in shown}
     return [
         Line2D([], [], linestyle="none", marker="s", markersize=8, color=hue, label=words)
-        for kind, present in kinds
-        if present
-        for hue, words in kind
+        for hue, words in [*(fitness if True in kinds else []), *(etas if False in kinds else [])]
     ]

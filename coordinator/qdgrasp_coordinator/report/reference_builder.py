@@ -27,14 +27,13 @@ from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.text import quoted
 
 SetsByObject = dict[str, ReferenceSet]
-ReachedCells = tuple[NDArray[np.int64], NDArray[np.uint8]]
-"""Cells (n, 3) and the fitness in each (n,)."""
+ReachedCells = tuple[NDArray[np.int64], NDArray[np.uint8]]  # Cells (n, 3) and the fitness in each (n,)
 
 
 def build_reference_sets(
     folders: Iterable[RunFolder], out: Path, name: str | None = None, *, mixed: bool = False
 ) -> SetsByObject:
-    """Add what runs found to the sets in a file, which is made where there is none.
+    """Add the cells that runs found to the sets in a file, or make a new file.
 
     A cell gets the best fitness found there. Adding a run again changes nothing. The file is replaced as a
     whole at the end, or left as it was.
@@ -67,7 +66,10 @@ def build_reference_sets(
     gathered: SetsByObject = {}
     for folder in folders:
         _add(gathered, reference_set_of(folder, name), folder.path, mixed)
-    _check_some(gathered)
+    for key, found in gathered.items():
+        if not len(found):
+            reason = "no row of its runs is a success; leave them out"
+            raise InputError(f"There is no cell for a set of '{key}': {reason}.")
     home = out.absolute().parent
     with (
         atomic_files.writing(out, output.instead),
@@ -81,16 +83,8 @@ def build_reference_sets(
     return {name: sets[name] for name in gathered}
 
 
-def _check_some(gathered: SetsByObject) -> None:
-    for name, found in gathered.items():
-        if not len(found):
-            raise InputError(
-                f"There is no cell for a set of '{name}': no row of its runs is a success; leave them out."
-            )
-
-
 def reference_set_of(folder: RunFolder, name: str | None = None) -> ReferenceSet:
-    """The set of a run: the cells of its successes with the best fitness in each."""
+    """Make the set of a run: the cells of its successes with the best fitness in each."""
     spec, scene = folder.spec, folder.scene()
     key = name or scene.object.name.removeprefix(SCAN_PREFIX)
     origin = ReferenceOrigin(
@@ -98,14 +92,14 @@ def reference_set_of(folder: RunFolder, name: str | None = None) -> ReferenceSet
     )
     empty = ReferenceSet(key, np.zeros((0, 3), np.int64), np.zeros(0, np.uint8), origin)
     with folder.journal() as journal:
-        found = [best_per_cell(*_reached_cells(rows)) for rows in journal.kept()]
+        found = [_best_cells(successes(rows)) for rows in journal.kept()]
     return _with_cells(empty, found)
 
 
 def merge_reference_sets(
     old: ReferenceSet, new: ReferenceSet, where: Path, *, mixed: bool = False
 ) -> ReferenceSet:
-    """Both sets of one object in one; `where` the new runs are is for errors. Raises as `build`."""
+    """Join two sets of one object; errors name `where` the new runs are."""
     known, came = _origin(old, where), _origin(new, where)
     if known.identity != came.identity:
         raise InputError(
@@ -133,14 +127,14 @@ def _add(sets: SetsByObject, new: ReferenceSet, where: Path, mixed: bool) -> Non
     sets[new.object] = new if old is None else merge_reference_sets(old, new, where, mixed=mixed)
 
 
-def _reached_cells(rows: Rows) -> ReachedCells:
-    """The cells of successful nominal rows, and the shakes that each survived."""
-    found = successes(rows)
-    return cells(found["base_to_object"][:, :3]), found["outcome"] - np.uint8(Outcome.DROPPED)
+def _best_cells(found: Rows) -> ReachedCells:
+    """Return the cells of nominal successes, and the most shakes that one in each survived."""
+    positions = found["base_to_object"][:, :3]
+    return best_per_cell(cells(positions), found["outcome"] - np.uint8(Outcome.DROPPED))
 
 
 def _with_cells(old: ReferenceSet, found: Iterable[ReachedCells]) -> ReferenceSet:
-    """A set with more cells, each once with its best fitness, in lexicographic order."""
+    """Add cells to a set, each once with its best fitness, in lexicographic order."""
     reached, fitness = zip((old.cells, old.fitness), *found, strict=True)
     distinct, greatest = best_per_cell(np.concatenate(reached), np.concatenate(fitness))
     return replace(old, cells=distinct, fitness=greatest)
@@ -156,7 +150,7 @@ def _origin(known: ReferenceSet, path: Path) -> ReferenceOrigin:
 
 
 def _existing_sets(out: Path) -> SetsByObject:
-    """The sets in a file that can be added to; none where there is no file."""
+    """Read the sets in a file that can be added to; empty where there is no file."""
     sets = read_references(out) if out.exists() else {}
     for known in sets.values():
         _origin(known, out)

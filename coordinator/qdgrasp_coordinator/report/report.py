@@ -1,6 +1,6 @@
 """Writes the figures and tables of a campaign into a folder."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from qdgrasp_coordinator.report.figures import (
     run_voxels,
 )
 from qdgrasp_coordinator.report.run_groups import (
-    CurvePanel,
     RunGroup,
     curve_panels,
     group_runs,
@@ -50,30 +49,30 @@ SUFFIXES = (".png", ".svg", ".csv")
 
 @dataclass(frozen=True)
 class CampaignReport:
-    """What was found and written."""
+    """The groups, claims and figures of a written report."""
 
     out: Path
-    entries: list[RunGroup]
+    groups: list[RunGroup]
     claims: list[JudgedClaim]
     figures: dict[str, str]
-    """By name, why a figure was left out; empty for those that were drawn."""
+    """By name, the reason why a figure was left out; empty for those that were drawn."""
     without_curves: list[str]
-    """The names of runs that were left out: of their rows those that are kept do not suffice."""
+    """Runs that were left out: too few of their rows were kept."""
 
     @property
     def left_out(self) -> dict[str, str]:
-        """The figures that were not drawn, and why."""
+        """The figures that were not drawn, with the reason."""
         return {name: why for name, why in self.figures.items() if why}
 
     @property
     def runs(self) -> int:
-        """How many runs there are."""
-        return sum(len(entry.runs) for entry in self.entries)
+        """Number of runs."""
+        return sum(len(group.runs) for group in self.groups)
 
     @property
     def unfinished(self) -> int:
-        """How many of them have not spent their budget."""
-        return sum(entry.unfinished for entry in self.entries)
+        """Number of runs that have not spent their budget."""
+        return sum(group.unfinished for group in self.groups)
 
 
 def write_report(
@@ -88,7 +87,7 @@ def write_report(
     out
         The folder that is written to: a new one, an empty one, or that of an earlier analysis.
     references
-        Reference sets that are looked at before the published ones on the asset path.
+        Reference sets that take precedence over the published ones on the asset path.
     method
         The method whose cells are drawn; None: the default one, or what found the most cells.
     log
@@ -110,69 +109,65 @@ def write_report(
         raise FolderError(f"Of every run in {path} only the successes were kept; curves need every row.")
     without_curves = [folder.path.absolute().name for folder in there if folder not in folders]
     arms = group_runs(read_histories(folders, ReferenceLookup(references)))
-    begun = [entry for entry in arms if any(run.evaluations for run in entry.runs)]
+    begun = [group for group in arms if any(run.evaluations for run in group.runs)]
     if not begun:
         raise FolderError(f"No run in {path} has recorded an evaluation yet; there is nothing to draw.")
-    methods = sorted({entry.method for entry in arms})
+    methods = sorted({group.method for group in arms})
     if method is not None and method not in methods:
         raise UnknownName("method in this campaign", method, methods)
     claims = judge_claims(begun)
-    earlier = _drawn_figures(out)
+    page = _earlier_page(out)
+    earlier = [name for name in CAPTIONS if f"({name}.png)" in page]
     with folder.filling() as made:
         figures = _draw(begun, made, method, log)
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
             _write(made / f"{name}.csv", csv_text(rows))
         _write(made / PAGE_FILE, markdown_page(path.absolute().name, arms, claims, figures, without_curves))
-    _remove_old(out, earlier, figures)
+    for name in earlier:  # figures of an earlier analysis that were left out of this one
+        for suffix in SUFFIXES if figures[name] else ():
+            (out / name).with_suffix(suffix).unlink(missing_ok=True)
     return CampaignReport(out, arms, claims, figures, without_curves)
 
 
 def _draw(begun: Sequence[RunGroup], out: Path, method: str | None, log: bool) -> dict[str, str]:
-    """Draw each figure, or say why there is none."""
+    """Draw each figure; returns by name the reason why one is left out, or ""."""
     shown, by_hand = curve_panels(begun), curve_panels(pool_objects(begun))
-    curves = [one for panel in shown for one in panel.curves]
-    matrix = _with_search([*by_hand, *shown])
-    leaning = nu_distributions(begun)
+    # the scenes with more than plain sampling
+    searched = [
+        panel
+        for panel in [*by_hand, *shown]
+        if any(family_of(one.group.method) != "rand" for one in panel.curves)
+    ]
+    distributions = nu_distributions(begun)
     drawn = method or drawn_method(begun)
-    seen = run_voxels(begun, drawn) if drawn else []
-    return {
-        "coverage": _write_figure(out / "coverage", draw_curves(shown, log=log), curve_rows(curves)),
-        "hands": _write_figure(
-            out / "hands",
+    voxels = run_voxels(begun, drawn) if drawn else []
+    drawings: dict[str, tuple[FigureGrid | str, list[Row]]] = {
+        "coverage": (draw_curves(shown, log=log), curve_rows(shown)),
+        "hands": (
             draw_curves(by_hand, log=log) if by_hand else "no hand has two objects with an S_G",
-            curve_rows([one for panel in by_hand for one in panel.curves]),
+            curve_rows(by_hand),
         ),
-        "priors": _write_figure(
-            out / "priors",
-            draw_prior_matrix(matrix, log=log)
-            if matrix
+        "priors": (
+            draw_prior_matrix(searched, log=log)
+            if searched
             else "no run is of a search with quality and diversity",
-            curve_rows([one for panel in matrix for one in panel.curves]),
+            curve_rows(searched),
         ),
-        "nu": _write_figure(
-            out / "nu", draw_nu(leaning) if leaning else "no success looks at a surface point", nu_rows(begun)
+        "nu": (
+            draw_nu(distributions) if distributions else "no success looks at a surface point",
+            nu_rows(begun),
         ),
-        "voxels": _write_figure(
-            out / "voxels",
-            draw_voxels(seen, drawn) if seen and drawn else "nothing was found",
-            [row for one in seen for row in voxel_rows(one)],
+        "voxels": (
+            draw_voxels(voxels, drawn) if voxels and drawn else "nothing was found",
+            [row for one in voxels for row in voxel_rows(one)],
         ),
     }
-
-
-def _with_search(shown: Sequence[CurvePanel]) -> list[CurvePanel]:
-    """The scenes with more than plain sampling."""
-    return [panel for panel in shown if any(family_of(one.entry.method) != "rand" for one in panel.curves)]
-
-
-def _write_figure(stem: Path, sheet: FigureGrid | str, rows: Sequence[Row]) -> str:
-    """Write a figure and its data; or return why there is none."""
-    if isinstance(sheet, str):
-        return sheet
-    sheet.write(stem)
-    _write(stem.with_suffix(".csv"), csv_text(rows))
-    return ""
+    for name, (grid, rows) in drawings.items():
+        if not isinstance(grid, str):
+            grid.write(out / name)
+            _write(out / f"{name}.csv", csv_text(rows))
+    return {name: grid if isinstance(grid, str) else "" for name, (grid, _) in drawings.items()}
 
 
 def _write(file: Path, text: str) -> None:
@@ -180,23 +175,11 @@ def _write(file: Path, text: str) -> None:
 
 
 def is_ours(folder: Path) -> bool:
-    """Whether a folder is that of an earlier analysis."""
+    """Return whether a folder is that of an earlier analysis."""
     return f"\n{CLAIMS_HEADING}\n" in _earlier_page(folder)
 
 
-def _drawn_figures(out: Path) -> list[str]:
-    """The figures that an earlier analysis put into its folder."""
-    return [name for name in CAPTIONS if f"({name}.png)" in _earlier_page(out)]
-
-
 def _earlier_page(folder: Path) -> str:
-    """The page of an earlier analysis; empty where there is none."""
+    """Read the page of an earlier analysis; empty if it is missing."""
     page = folder / PAGE_FILE
     return page.read_text(encoding="utf-8", errors="replace") if atomic_files.is_file(page) else ""
-
-
-def _remove_old(out: Path, earlier: Iterable[str], figures: Mapping[str, str]) -> None:
-    """Remove the figures of an earlier analysis that were left out of this one."""
-    for name in earlier:
-        for suffix in SUFFIXES if figures[name] else ():
-            (out / name).with_suffix(suffix).unlink(missing_ok=True)

@@ -1,7 +1,6 @@
 """All that is known of one row of a journal, and the context that its columns are read in.
 
-The context of a row, kept for a few hundred journals, says which synergy its genome chose and how many
-trials its success has.
+The context says which synergy a genome chose and how many trials a success has.
 """
 
 import xml.etree.ElementTree as ET
@@ -26,27 +25,20 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import RowContext
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome, trial_count
-from qdgrasp_protocol.spec import RunSpec
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
 ContextKey = tuple[Path, float, str, int]
-"""The folder of a run; of its journal when it was begun, its scene, and from how many runs it is."""
+"""Folder of a run; of its journal: time of creation, scene, and number of source runs."""
 
 
 class RowContextCache:
-    """The legends of journals; any thread may ask.
-
-    Raises
-    ------
-    FolderError
-        The scene of a run cannot be read.
-    """
+    """Contexts of the rows of journals, a few hundred at most; any thread may ask."""
 
     def __init__(self) -> None:
         self._known: dict[ContextKey, RowContext] = {}
 
-    def of(self, folder: RunFolder, journal: Journal) -> RowContext:
-        """That of the journal of a run; one without its scene names no synergies."""
+    def get(self, folder: RunFolder, journal: Journal) -> RowContext:
+        """Return that of a run's journal; FolderError if its scene cannot be read."""
         name = (folder.path, journal.created, journal.scene, len(journal.sources))
         if name in self._known:
             return self._known[name]
@@ -59,7 +51,7 @@ class RowContextCache:
 
 
 def row_context(folder: RunFolder, journal: Journal) -> RowContext:
-    """The legend of the journal of a run; raises as `RowContextCache`."""
+    """Make the context of a run's journal; without its scene it names no synergies."""
     sources = journal.sources
     if not sources:
         return RowContext(trial_count(folder.spec.protocol), ((0, synergy_reader(folder)),))
@@ -70,7 +62,7 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
 
 
 ROWS_READ_AT_ONCE = 1 << 16
-"""So many rows are read at once, from the end of the journal on, for the nearest success."""
+"""Rows read at once, from the end of the journal on, for the nearest success."""
 POSE_FRAME = "object's centre-of-mass frame"
 OUTCOME_MEANINGS = {
     Outcome.ERROR: "the simulator failed three times",
@@ -85,15 +77,7 @@ OUTCOME_MEANINGS = {
 
 
 class NoSuchRow(InputError):
-    """A number that no row of a journal has.
-
-    Parameters
-    ----------
-    rows
-        How many there are.
-    nearest
-        The success that is nearest to it; None: there is none.
-    """
+    """A number that no row of a journal has; `nearest` is the nearest success, or None."""
 
     def __init__(self, folder: Path, number: int, rows: int, nearest: int | None) -> None:
         there = f"it has {rows}, numbered from 0" if rows else "it has none yet"
@@ -104,12 +88,11 @@ class NoSuchRow(InputError):
 
 
 class ReportedPose(Struct, frozen=True, kw_only=True):
-    """Where the hand is."""
+    """Pose of the hand."""
 
     link: str
-    """The hand's root link: whose pose it is."""
+    """The hand's root link, which has the pose."""
     frame: str
-    """In which frame."""
     position: tuple[float, ...]
     """x, y, z [m]."""
     quaternion_xyzw: tuple[float, ...]
@@ -117,7 +100,7 @@ class ReportedPose(Struct, frozen=True, kw_only=True):
 
     @property
     def lines(self) -> list[str]:
-        """For a person."""
+        """The pose in words, line by line."""
         return [
             f"x y z  {_numbers(self.position)} m",
             f"qx qy qz qw  {_numbers(self.quaternion_xyzw)}",
@@ -126,7 +109,7 @@ class ReportedPose(Struct, frozen=True, kw_only=True):
 
 
 class JointPosition(Struct, frozen=True, kw_only=True):
-    """Where a finger joint is after closing."""
+    """Position of a finger joint after closing."""
 
     name: str
     position: float
@@ -141,27 +124,27 @@ class GeneValue(Struct, frozen=True, kw_only=True):
     gene: float
     """In [-1, 1]; under the prior `given` the value itself."""
     value: float
-    """What it stands for [m or rad]."""
+    """The length or angle that it stands for [m or rad]."""
 
 
 class RowReport(Struct, frozen=True, kw_only=True):
-    """Everything that is known about one row. Positions are metres in the object's centre-of-mass frame."""
+    """All that is known about one row; positions are metres in the object's CoM frame."""
 
     folder: str
     """Of the run."""
     number: int
     """The row's in the journal, as the view in 3D counts."""
     rows: int
-    """How many the journal has."""
+    """Rows in the journal."""
     generation: int
     index: int
-    """Its place in the generation."""
+    """Place in the generation."""
     trial: int
     """0: the nominal evaluation; 1 and up: domain-randomised."""
     outcome: str
     """`Outcome` by its name in lower case."""
     meaning: str
-    """The same in words."""
+    """The outcome in words."""
     reason: str
     """Of an error; else empty."""
     fitness: float
@@ -181,9 +164,9 @@ class RowReport(Struct, frozen=True, kw_only=True):
     synergy: str
     """The synergy that closed the hand; empty: all driven joints."""
     surface_point: tuple[float, ...] | None
-    """The surface point aimed at [m]; None where there is none."""
+    """The surface point aimed at [m]; None without an aim."""
     nu: float | None
-    """The angle between its normal and the direction to the hand [rad]; None without such a point."""
+    """Angle between its normal and the direction to the hand [rad]; None without an aim."""
     contacts: int
     """Finger links that touch the object after closing."""
     penetration: float
@@ -191,13 +174,10 @@ class RowReport(Struct, frozen=True, kw_only=True):
     gripper: str
     object: str
     protocol: str
-    """The evaluation protocol."""
     method: str
-    """The search."""
     prior: str
-    """What decodes the genome."""
+    """The rule that decodes the genome."""
     seed: int
-    """Of the search."""
     genome: tuple[GeneValue, ...]
     scene: str
     """sha256 of the scene bundle."""
@@ -210,10 +190,10 @@ class RowReport(Struct, frozen=True, kw_only=True):
 
     @property
     def table(self) -> str:
-        """All of it for a person, one to a line."""
+        """All of it in words, one to a line."""
         values = msgspec.structs.asdict(self)
         values["outcome"] = ": ".join(
-            filter(None, (self.outcome, values.pop("meaning"), values.pop("reason")))
+            filter(None, [self.outcome, values.pop("meaning"), values.pop("reason")])
         )
         values["number"] = f"{self.number} of {values.pop('rows')} rows, counted from 0"
         values["eta"] = None if self.eta is None else f"{self.eta:.4g}"
@@ -228,21 +208,17 @@ class RowReport(Struct, frozen=True, kw_only=True):
 
 
 def row_report(folder: RunFolder, number: int) -> RowReport:
-    """Everything that is known about a row by its number in the journal, also while the run goes on.
+    """Report a row by its number in the journal, also while the run goes on.
 
-    Raises
-    ------
-    NoSuchRow
-        The journal has no such row.
-    FolderError
-        The folder cannot be read.
+    Raises NoSuchRow, or FolderError if the folder cannot be read.
     """
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
         found_by = provenance(folder, journal, number)
         spec, behind = found_by.spec, range(number + 1, found_by.rows.stop)
-        repeats = _trial_fitness(journal, row, behind, trial_count(spec.protocol))
-        told = {
+        repeats_known = trial_count(spec.protocol)
+        repeats = _trial_fitness(journal, row, behind, repeats_known)
+        values: dict[str, object] = {
             "folder": str(folder.path),
             "run": found_by.run,
             "number": number,
@@ -250,36 +226,29 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
             "scene": journal.scene,
             "reason": journal.errors().get(number, ""),
         }
-    return msgspec.convert(
-        told | _spec_fields(spec) | _row_fields(row, folder.scene(), spec) | _trial_fields(repeats, spec),
-        RowReport,
-    )
+    values |= {name: getattr(spec, name) for name in ("gripper", "object", "protocol", "method", "seed")}
+    values |= _row_fields(row, folder.scene(), method(spec.method).prior)
+    is_scored = repeats_known > 0 and len(repeats) == repeats_known
+    values |= {
+        "scale": spec.scale or 1.0,
+        "trials": len(repeats),
+        "eta": float(eta(np.array([sum(repeats)]), repeats_known)[0]) if is_scored else None,
+    }
+    return msgspec.convert(values, RowReport)
 
 
 def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
-    """The row of a number in a folder's journal.
-
-    Raises
-    ------
-    NoSuchRow
-        The journal has none.
-    """
+    """Return the row of a number in a folder's journal; raises NoSuchRow."""
     if not 0 <= number < journal.count:
         raise NoSuchRow(folder.path, number, journal.count, _last_success(journal))
     row: np.void = np.concatenate(list(journal.kept(number, number + 1)))[0]
     return row
 
 
-def _spec_fields(spec: RunSpec) -> dict[str, object]:
-    """What was asked for."""
-    names = ("gripper", "object", "protocol", "method", "seed")
-    return {name: getattr(spec, name) for name in names} | {"scale": spec.scale or 1.0}
-
-
-def _row_fields(row: np.void, scene: Scene, spec: RunSpec) -> dict[str, object]:
-    """What a row says, read with its scene."""
-    outcome, prior = Outcome(row["outcome"]), method(spec.method).prior
-    pose, is_aimed = _pose(row, scene.gripper), bool(row["surface_point"].any())
+def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, object]:
+    """Read the columns of a row with its scene."""
+    outcome, is_aimed = Outcome(row["outcome"]), bool(row["surface_point"].any())
+    pose, label = _pose(row, scene.gripper), int(synergies(scene, prior).labels(row["genome"][None])[0])
     plain = ("generation", "index", "trial", "fitness", "descriptor", "contacts", "penetration")
     return {name: row[name].tolist() for name in plain} | {
         "outcome": outcome.name.lower(),
@@ -287,7 +256,7 @@ def _row_fields(row: np.void, scene: Scene, spec: RunSpec) -> dict[str, object]:
         "cell": cells(row["descriptor"][:3]).tolist() if pose else None,
         "base_to_object": pose,
         "joints": list(_joints(row, scene.gripper)) if outcome.is_simulated else [],
-        "synergy": _synergy_name(row, scene, prior),
+        "synergy": scene.gripper.synergies[label].name if label >= 0 else "",
         "surface_point": row["surface_point"].tolist() if is_aimed else None,
         "nu": float(row["nu"]) if is_aimed else None,
         "prior": prior,
@@ -296,18 +265,8 @@ def _row_fields(row: np.void, scene: Scene, spec: RunSpec) -> dict[str, object]:
     }
 
 
-def _trial_fields(repeats: list[float], spec: RunSpec) -> dict[str, object]:
-    """What the trials of a success come to, by the fitness in each."""
-    known = trial_count(spec.protocol)
-    is_scored = known > 0 and len(repeats) == known
-    return {
-        "trials": len(repeats),
-        "eta": float(eta(np.array([sum(repeats)]), known)[0]) if is_scored else None,
-    }
-
-
 def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> list[float]:
-    """The fitness in each trial of a nominal success; they all stand behind it."""
+    """Return the fitness in each trial of a nominal success; trials stand behind it."""
     found: list[float] = []
     if not most or row["trial"] or not Outcome(row["outcome"]).is_success:
         return found
@@ -320,7 +279,7 @@ def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> 
 
 
 def _last_success(journal: Journal) -> int | None:
-    """The last success: the nearest to whatever number is behind the last row."""
+    """Return the last success, the nearest to any number behind the last row."""
     stop = journal.count
     while stop > 0:
         first = max(0, stop - ROWS_READ_AT_ONCE)
@@ -343,18 +302,13 @@ def _pose(row: np.void, gripper: SceneGripper) -> ReportedPose | None:
 def _joints(row: np.void, gripper: SceneGripper) -> Iterator[JointPosition]:
     robot = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # a scene that was checked
     for joint, position in zip(gripper.joints, row["joints"].tolist(), strict=False):
-        told = robot.joint(joint.name)
-        slides = told is not None and told.kind == "prismatic"
+        found = robot.joint(joint.name)
+        slides = found is not None and found.kind == "prismatic"
         yield JointPosition(name=joint.name, position=position, unit="m" if slides else "rad")
 
 
-def _synergy_name(row: np.void, scene: Scene, prior: str) -> str:
-    label = int(synergies(scene, prior).labels(row["genome"][None])[0])
-    return scene.gripper.synergies[label].name if label >= 0 else ""
-
-
 def _gene_values(row: np.void, scene: Scene, prior: str) -> Iterator[GeneValue]:
-    """The genes; a merged journal may have zeros behind them."""
+    """Yield the genes; a merged journal may have zeros behind them."""
     known = layout(scene, prior)
     genes = row["genome"][None, : len(known)]
     values = genes if prior == GIVEN else known.values(genes)
@@ -363,7 +317,7 @@ def _gene_values(row: np.void, scene: Scene, prior: str) -> Iterator[GeneValue]:
 
 
 def _lines(name: str, value: object) -> Iterator[str]:
-    """A field for a person: a list has a line for each of its own."""
+    """Yield a field in words; a list has a line for each item."""
     match value:
         case list():
             lines = value or ["none"]
@@ -382,11 +336,11 @@ def _numbers(values: tuple[float, ...]) -> str:
 
 
 def synergy_reader(folder: RunFolder) -> SynergyReader:
-    """How the genomes of a run name synergies; without its scene all are taken for one."""
+    """Return the reader of synergies in a run's genomes; without its scene all are one."""
     known = folder.has_bundle()
     return synergies(folder.scene(), method(folder.spec.method).prior) if known else UNKNOWN_SYNERGIES
 
 
 def empty_niche_archive(folder: RunFolder) -> NicheArchive:
-    """An empty archive for the rows of a run."""
+    """Return an empty archive for the rows of a run."""
     return NicheArchive(synergy_reader(folder))

@@ -1,15 +1,16 @@
 """Reads what one run found over its evaluations, in one pass over its journal.
 
-Nominal rows are counted; a success's randomised trials give its eta and nothing else. A run that keeps its
-successes alone says what all its rows came to; where every genome counts, the place of a success says after
-how many evaluations it was found.
+Nominal rows are counted; a success's randomised trials give its eta and nothing else. A journal that keeps
+successes alone has the sums over all rows; where every genome counts, the place of a success says after how
+many evaluations it was found.
 """
 
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,36 +33,18 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec
 
-
-@dataclass(frozen=True)
-class RunSums:
-    """What all rows of a run come to; see `RunSummary` for what each counts."""
-
-    evaluations: int
-    complete: bool
-    simulated: int
-    proposals: int
-    overlaps: int
-    dead_ends: int
-    cpu_seconds: float
+SUMMED_COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends")
 
 
-def run_sums(journal: Journal, spec: RunSpec, blocks: Iterable[Rows]) -> RunSums:
-    """What the rows of one run come to; `blocks` are those that its journal holds, and all of them pass."""
+def _run_sums(journal: Journal, spec: RunSpec, blocks: Iterable[Rows]) -> dict[str, Any]:
+    """Sum up all rows of a run, as `RunSummary` counts them; the blocks that are kept all pass."""
     if journal.sources:
         deque(blocks, maxlen=0)
-        told = journal.sources[0].summary
-        return RunSums(**{field.name: told[field.name] for field in fields(RunSums)})
+        summary = journal.sources[0].summary
+        return {name: summary[name] for name in (*SUMMED_COUNTS, "complete", "cpu_seconds")}
     total = count_rows(spec, blocks)
-    return RunSums(
-        evaluations=total.evaluations,
-        complete=total.finished is not None,
-        simulated=total.simulated,
-        proposals=total.proposals,
-        overlaps=total.overlaps,
-        dead_ends=total.dead_ends,
-        cpu_seconds=journal.cpu_seconds,
-    )
+    sums = {name: getattr(total, name) for name in SUMMED_COUNTS}
+    return sums | {"complete": total.finished is not None, "cpu_seconds": journal.cpu_seconds}
 
 
 NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to pi / 4
@@ -69,7 +52,7 @@ NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to 
 
 @dataclass(frozen=True)
 class RunHistory:
-    """What one run found. Reference figures are None where there is no set to compare with."""
+    """Growth of one run over its evaluations; without a reference set there is no coverage."""
 
     path: Path
     spec: RunSpec
@@ -92,9 +75,7 @@ class RunHistory:
     published: StepSeries | None
     """Entries as the released code counts them; None for a hand that it does not have."""
     diversity: Diversity
-    """As `info` prints it."""
     qd_score: float
-    """As `info` prints it."""
     nu: NDArray[np.int64]
     """(24,): successes by nu, from 0 to pi."""
     near: int
@@ -104,11 +85,11 @@ class RunHistory:
     cpu_seconds: float
 
     def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
-        """The share of the reference set found after so many evaluations; NaN without one."""
+        """Share of the reference set found after so many evaluations; NaN without one."""
         return self._share(self.found, evaluations)
 
     def published_coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
-        """The same as the released code counts; NaN without a set, and for a hand that it does not have."""
+        """The same as the released code counts; NaN without a set or for hands that it lacks."""
         return self._share(self.published, evaluations)
 
     def _share(self, found: StepSeries | None, evaluations: ArrayLike) -> NDArray[np.float64]:
@@ -118,13 +99,13 @@ class RunHistory:
 
     @property
     def near_share(self) -> float | None:
-        """The share of successes with nu below pi / 4; None without a success that has a nu."""
+        """Share of successes with nu below pi / 4; None without a success that has a nu."""
         aimed = int(self.nu.sum())
         return self.near / aimed if aimed else None
 
 
 def has_curves(folder: RunFolder) -> bool:
-    """Whether the history of a run can be told: of its successes alone it can where every genome counts."""
+    """Return whether all rows are kept, or successes of a run in which every genome counts."""
     with folder.journal() as journal:
         return _has_curves(journal, folder.spec)
 
@@ -132,39 +113,33 @@ def has_curves(folder: RunFolder) -> bool:
 def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
     """Read what a run found, also while it goes on.
 
-    Raises
-    ------
-    FolderError
-        Its journal cannot be read, or does not hold enough of it (`has_curves`).
+    Raises FolderError if its journal cannot be read, or does not hold enough of it (`has_curves`).
     """
     spec = folder.spec
     with folder.journal() as journal:
         if not _has_curves(journal, spec):
             journal.check_whole()
-        metrics, kept, found = (
-            SuccessMetrics(trial_count(spec.protocol)),
-            empty_niche_archive(folder),
-            list[SuccessHistory](),
-        )
-        blocks = metrics.counting(kept.inserting(_collect_successes(journal, spec, found)))
-        sums = run_sums(journal, spec, blocks)
-        finds = join_histories(found, journal.shape.empty(0))
+        metrics, niches = SuccessMetrics(trial_count(spec.protocol)), empty_niche_archive(folder)
+        found: list[SuccessHistory] = []
+        blocks = metrics.counting(niches.inserting(_collect_successes(journal, spec, found)))
+        sums = _run_sums(journal, spec, blocks)
+        history = join_histories(found, journal.shape.empty(0))
     known, archive = target.reference, target.archive
     return RunHistory(
         path=folder.path,
         spec=spec,
         target=target,
-        **asdict(sums),
+        **sums,
         successes=metrics.successes,
-        cells=finds.cells(),
-        robust_cells=finds.cells(fitness=ROBUST),
-        found=None if known is None else finds.found(known),
-        robust_found=None if known is None else finds.found(known.robust, fitness=ROBUST),
-        published=None if known is None or archive is None else finds.published(known, archive),
-        diversity=diversity(kept),
+        cells=history.cells(),
+        robust_cells=history.cells(fitness=ROBUST),
+        found=None if known is None else history.found(known),
+        robust_found=None if known is None else history.found(known.robust, fitness=ROBUST),
+        published=None if known is None or archive is None else history.published(known, archive),
+        diversity=diversity(niches),
         qd_score=metrics.qd_score,
-        nu=np.histogram(finds.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
-        near=int(np.count_nonzero(finds.nu < NEAR_NU)),
+        nu=np.histogram(history.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
+        near=int(np.count_nonzero(history.nu < NEAR_NU)),
         eta=None if metrics.eta is None else metrics.eta.mean,
     )
 
@@ -174,7 +149,7 @@ def _has_curves(journal: Journal, spec: RunSpec) -> bool:
 
 
 def _collect_successes(journal: Journal, spec: RunSpec, found: list[SuccessHistory]) -> Iterator[Rows]:
-    """The rows that a journal holds, in blocks; what each one found is added as it passes."""
+    """Yield the rows of a journal in blocks; the successes in each are added as it passes."""
     before = 0
     for block in journal.kept():
         if journal.sources:

@@ -3,22 +3,22 @@
 import csv
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdgrasp_coordinator.metrics.success_metrics import StepSeries
 from qdgrasp_coordinator.report.claims import (
     CONFIDENCE_LEVEL,
     FEW_RUNS,
     RESAMPLES,
     ClaimEvidence,
-    ConfidenceInterval,
     JudgedClaim,
 )
 from qdgrasp_coordinator.report.figures import RunVoxels
 from qdgrasp_coordinator.report.run_groups import (
     PUBLISHED_COVERAGE,
-    QuartileCurve,
+    CurvePanel,
     RunGroup,
     SceneName,
     quartile_curve,
@@ -27,112 +27,135 @@ from qdgrasp_coordinator.report.run_groups import (
 from qdgrasp_coordinator.report.run_history import NU_BINS, RunHistory
 from qdgrasp_protocol.text import counted, first_few
 
+
+class Figure(NamedTuple):
+    """A number of a run, with its heading and format in tables."""
+
+    heading: str
+    """Of its column; empty: it is in CSV files alone."""
+    words: Callable[[float], str]
+    of: Callable[[RunHistory], float | None]
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return part / whole if whole else None
+
+
+def _share(found: StepSeries | None, size: int) -> float | None:
+    return None if found is None else _ratio(found.end, size)
+
+
+def _robust_size(run: RunHistory) -> int:
+    return len(run.target.reference.robust) if run.target.reference else 0
+
+
+WHOLE, TWO_PLACES, PERCENT = "{:,.0f}".format, "{:.2f}".format, "{:.2%}".format
+FIGURES = {
+    "evaluations": Figure("evaluations", WHOLE, lambda run: run.evaluations),
+    "simulated": Figure("simulated", WHOLE, lambda run: run.simulated),
+    "proposals": Figure("proposals", WHOLE, lambda run: run.proposals),
+    "overlaps": Figure("overlaps", WHOLE, lambda run: run.overlaps),
+    "dead_ends": Figure("dead ends", WHOLE, lambda run: run.dead_ends),
+    "successes": Figure("successes", WHOLE, lambda run: run.successes),
+    "cells": Figure("cells", WHOLE, lambda run: run.cells.end),
+    "robust_cells": Figure("robust cells", WHOLE, lambda run: run.robust_cells.end),
+    "niches": Figure("niches", WHOLE, lambda run: run.diversity.niches),
+    "grasp_niches": Figure("", WHOLE, lambda run: run.diversity.grasp_niches),
+    "robust_niches": Figure("robust niches", WHOLE, lambda run: run.diversity.robust_niches),
+    "orientations_per_cell": Figure(
+        "orientations per cell", TWO_PLACES, lambda run: run.diversity.orientations
+    ),
+    "synergies_per_cell": Figure("synergies per cell", TWO_PLACES, lambda run: run.diversity.synergies),
+    "mean_best": Figure("mean best fitness", TWO_PLACES, lambda run: _ratio(run.qd_score, run.cells.end)),
+    "qd_score": Figure("QD score", WHOLE, lambda run: run.qd_score),
+    "success_share": Figure(
+        "success share", "{:.1%}".format, lambda run: _ratio(run.successes, run.evaluations)
+    ),
+    "coverage": Figure("cvg, de-duplicated", PERCENT, lambda run: _share(run.found, run.target.size)),
+    "published": Figure("cvg as published", PERCENT, lambda run: _share(run.published, run.target.size)),
+    "robust": Figure("robust cvg", PERCENT, lambda run: _share(run.robust_found, _robust_size(run))),
+    "nu_below_quarter_pi": Figure("nu < pi/4", "{:.0%}".format, lambda run: run.near_share),
+    "eta": Figure("eta", TWO_PLACES, lambda run: run.eta),
+    "rate": Figure(
+        "evaluations per CPU s",
+        lambda x: f"{x:,.0f}" if x >= 10 else f"{x:.2g}",
+        lambda run: _ratio(run.evaluations, run.cpu_seconds),
+    ),
+    "cpu_seconds": Figure("CPU s", WHOLE, lambda run: run.cpu_seconds),
+}
+"""Columns of all tables of runs, in their order."""
 Value = str | int | float | None
-Row = dict[str, Value]
-"""Columns by name; None where there is no number."""
+Row = dict[str, Value]  # Columns by name; None where there is no number
 
 
-def run_rows(entries: Iterable[RunGroup]) -> list[Row]:
+def run_rows(groups: Iterable[RunGroup]) -> list[Row]:
     """One row for each run."""
     return [
-        _group_columns(entry)
+        _group_columns(group)
         | {
             "run": run.path.name,
             "seed": run.spec.seed,
             "overlaps_mode": run.spec.overlaps,
             "finished": "yes" if run.complete else "no",
-            **run_figures(run),
+            **{name: figure.of(run) for name, figure in FIGURES.items()},
             "set_size": run.target.size or None,
             "stand_in": ("yes" if run.target.stand_in else "no") if run.target.size else None,
             "why_no_set": run.target.why,
         }
-        for entry in entries
-        for run in entry.runs
+        for group in groups
+        for run in group.runs
     ]
 
 
-def run_figures(run: RunHistory) -> dict[str, float | int | None]:
-    """The figures of a run."""
-    known = run.target.reference
-    return {
-        "evaluations": run.evaluations,
-        "simulated": run.simulated,
-        "proposals": run.proposals,
-        "overlaps": run.overlaps,
-        "dead_ends": run.dead_ends,
-        "successes": run.successes,
-        "cells": run.cells.end,
-        "robust_cells": run.robust_cells.end,
-        "niches": run.diversity.niches,
-        "grasp_niches": run.diversity.grasp_niches,
-        "robust_niches": run.diversity.robust_niches,
-        "orientations_per_cell": run.diversity.orientations,
-        "synergies_per_cell": run.diversity.synergies,
-        "mean_best": _ratio(run.qd_score, run.cells.end),
-        "qd_score": run.qd_score,
-        "success_share": _ratio(run.successes, run.evaluations),
-        "coverage": None if run.found is None else _ratio(run.found.end, run.target.size),
-        "published": None if run.published is None else _ratio(run.published.end, run.target.size),
-        "robust": None
-        if known is None or run.robust_found is None
-        else _ratio(run.robust_found.end, len(known.robust)),
-        "nu_below_quarter_pi": run.near_share,
-        "eta": run.eta,
-        "rate": _ratio(run.evaluations, run.cpu_seconds),
-        "cpu_seconds": run.cpu_seconds,
-    }
-
-
-def method_rows(entries: Iterable[RunGroup]) -> list[Row]:
-    """One row for each entry: of each figure the median over its runs that have begun, and the quartiles."""
+def method_rows(groups: Iterable[RunGroup]) -> list[Row]:
+    """One row for each group: of each figure, median and quartiles over runs that have begun."""
     rows = []
-    for entry in entries:
-        begun = [run for run in entry.runs if run.evaluations]
-        row: Row = _group_columns(entry) | {"overlaps_mode": entry.overlaps}
-        row |= {"seeds": len(entry.runs), "unfinished": entry.unfinished}
-        for name in run_figures(entry.runs[0]):
-            values = np.array([[run_figures(run)[name]] for run in begun], dtype=np.float64).reshape(-1, 1)
+    for group in groups:
+        begun = [run for run in group.runs if run.evaluations]
+        row: Row = _group_columns(group) | {"overlaps_mode": group.overlaps}
+        row |= {"seeds": len(group.runs), "unfinished": group.unfinished}
+        for name, figure in FIGURES.items():
+            values = np.array([[figure.of(run)] for run in begun], dtype=np.float64).reshape(-1, 1)
             low, median, high = quartiles(values)[:, 0].tolist() if len(values) else [np.nan] * 3
             row |= {name: _or_none(median), f"{name}_q1": _or_none(low), f"{name}_q3": _or_none(high)}
         rows.append(row)
     return rows
 
 
-def curve_rows(curves: Iterable[QuartileCurve]) -> list[Row]:
+def curve_rows(panels: Iterable[CurvePanel]) -> list[Row]:
     """One row for each point of each curve, with the count as published beside it."""
-    return [row for one in curves for row in _curve_points(one)]
+    rows: list[Row] = []
+    for one in (curve for panel in panels for curve in panel.curves):
+        published = quartile_curve(one.group, PUBLISHED_COVERAGE)
+        columns = (one.evaluations, one.runs, one.low, one.median, one.high, published.median)
+        for evaluations, runs, low, median, high, other in zip(*(c.tolist() for c in columns), strict=True):
+            rows.append(_group_columns(one.group) | {
+                "measure": one.measure.name, "evaluations": evaluations, "runs": runs,
+                "q1": _or_none(low), "median": _or_none(median), "q3": _or_none(high),
+                "published_median": _or_none(other),
+            })  # fmt: skip
+    return rows
 
 
-def _curve_points(one: QuartileCurve) -> Iterable[Row]:
-    published = quartile_curve(one.entry, PUBLISHED_COVERAGE)
-    columns = (one.evaluations, one.runs, one.low, one.median, one.high, published.median)
-    for evaluations, runs, low, median, high, other in zip(*(c.tolist() for c in columns), strict=True):
-        yield _group_columns(one.entry) | {
-            "measure": one.measure.name, "evaluations": evaluations, "runs": runs,
-            "q1": _or_none(low), "median": _or_none(median), "q3": _or_none(high),
-            "published_median": _or_none(other),
-        }  # fmt: skip
-
-
-def nu_rows(entries: Iterable[RunGroup]) -> list[Row]:
+def nu_rows(groups: Iterable[RunGroup]) -> list[Row]:
     """One row for each bin of nu of each run with a nu: its edges [deg] and the successes in it."""
     edges = np.linspace(0, 180, NU_BINS + 1).tolist()
     return [
-        _group_columns(entry)
+        _group_columns(group)
         | {"run": run.path.name, "evaluations": run.evaluations, "from": low, "to": high, "successes": count}
-        for entry in entries
-        for run in entry.runs
+        for group in groups
+        for run in group.runs
         if run.nu.any()
         for low, high, count in zip(edges[:-1], edges[1:], run.nu.tolist(), strict=True)
     ]
 
 
 def voxel_rows(shown: RunVoxels) -> list[Row]:
-    """One row for each cell of a run with a success: its place [cm], CoM frame, and the best one in it."""
-    said = scene_columns(shown.name) | {"method": shown.run.spec.method, "run": shown.run.path.name}
+    """One row for each cell with a success: its place [cm], CoM frame, and the best in it."""
+    columns = scene_columns(shown.name) | {"method": shown.run.spec.method, "run": shown.run.path.name}
     measure = "fitness" if shown.eta is None else "eta"
     return [
-        said | {"x": x, "y": y, "z": z, measure: best}
+        columns | {"x": x, "y": y, "z": z, measure: best}
         for (x, y, z), best in zip(shown.places.tolist(), shown.worth.tolist(), strict=True)
     ]
 
@@ -141,18 +164,17 @@ def claim_rows(claims: Iterable[JudgedClaim]) -> list[Row]:
     """One row for each number of each claim; a claim without numbers has one row that says so."""
     rows: list[Row] = []
     for one in claims:
-        said: Row = {"claim": one.claim.letter, "words": one.claim.words, "verdict": one.verdict.value}
-        numbers = [(finding, True) for finding in one.findings] + [(finding, False) for finding in one.beside]
-        rows += [said | _evidence_row(one, finding, judged) for finding, judged in numbers] or [said]
+        columns: Row = {"claim": one.claim.letter, "words": one.claim.words, "verdict": one.verdict.value}
+        rows += [columns | _evidence_row(one, found, judged) for found, judged in one.numbers] or [columns]
     return rows
 
 
-def _evidence_row(one: JudgedClaim, finding: ClaimEvidence, judged: bool) -> Row:
-    found = finding.interval
+def _evidence_row(one: JudgedClaim, evidence: ClaimEvidence, judged: bool) -> Row:
+    found = evidence.interval
     upper, *lower = found.runs
     return {
-        "subject": finding.subject,
-        "statistic": finding.statistic,
+        "subject": evidence.subject,
+        "statistic": evidence.statistic,
         "value": _or_none(found.value),
         "low": _or_none(found.low),
         "high": _or_none(found.high),
@@ -161,8 +183,8 @@ def _evidence_row(one: JudgedClaim, finding: ClaimEvidence, judged: bool) -> Row
         "scenes": found.scenes,
         "runs": upper,
         "runs_below": lower[0] if lower else None,
-        "least_evaluations": min(finding.evaluations),
-        "most_evaluations": max(finding.evaluations),
+        "least_evaluations": min(evidence.evaluations),
+        "most_evaluations": max(evidence.evaluations),
     }
 
 
@@ -171,12 +193,8 @@ def scene_columns(scene: SceneName) -> Row:
     return {"gripper": scene.gripper, "object": scene.object, "protocol": scene.protocol}
 
 
-def _group_columns(entry: RunGroup) -> Row:
-    return scene_columns(entry.scene) | {"method": entry.method, "variant": entry.variant}
-
-
-def _ratio(part: float, whole: float) -> float | None:
-    return part / whole if whole else None
+def _group_columns(group: RunGroup) -> Row:
+    return scene_columns(group.scene) | {"method": group.method, "variant": group.variant}
 
 
 def _or_none(value: float) -> float | None:
@@ -184,7 +202,7 @@ def _or_none(value: float) -> float | None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Value]]) -> str:
-    """Rows as CSV; columns in the order in which they first occur, nothing where there is no number."""
+    """Write rows as CSV, columns in the order of their first occurrence; None is empty."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
@@ -209,46 +227,21 @@ CAPTIONS = {
     "voxels": "Cells of 1 cm with a success, by the most robust one in each, in the run with the median "
     "number of cells.",
 }
-FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
-    "evaluations": ("evaluations", lambda x: f"{x:,.0f}"),
-    "simulated": ("simulated", lambda x: f"{x:,.0f}"),
-    "proposals": ("proposals", lambda x: f"{x:,.0f}"),
-    "overlaps": ("overlaps", lambda x: f"{x:,.0f}"),
-    "dead_ends": ("dead ends", lambda x: f"{x:,.0f}"),
-    "successes": ("successes", lambda x: f"{x:,.0f}"),
-    "cells": ("cells", lambda x: f"{x:,.0f}"),
-    "robust_cells": ("robust cells", lambda x: f"{x:,.0f}"),
-    "niches": ("niches", lambda x: f"{x:,.0f}"),
-    "robust_niches": ("robust niches", lambda x: f"{x:,.0f}"),
-    "orientations_per_cell": ("orientations per cell", lambda x: f"{x:.2f}"),
-    "synergies_per_cell": ("synergies per cell", lambda x: f"{x:.2f}"),
-    "mean_best": ("mean best fitness", lambda x: f"{x:.2f}"),
-    "qd_score": ("QD score", lambda x: f"{x:,.0f}"),
-    "success_share": ("success share", lambda x: f"{x:.1%}"),
-    "coverage": ("cvg, de-duplicated", lambda x: f"{x:.2%}"),
-    "published": ("cvg as published", lambda x: f"{x:.2%}"),
-    "robust": ("robust cvg", lambda x: f"{x:.2%}"),
-    "nu_below_quarter_pi": ("nu < pi/4", lambda x: f"{x:.0%}"),
-    "eta": ("eta", lambda x: f"{x:.2f}"),
-    "rate": ("evaluations per CPU s", lambda x: f"{x:,.0f}" if x >= 10 else f"{x:.2g}"),
-    "cpu_seconds": ("CPU s", lambda x: f"{x:,.0f}"),
-}
-"""Columns of a scene's table, with how their numbers are written."""
 COUNTED = {"count": "every genome", "redraw": "the simulated"}
-"""What an evaluation is, by whether overlaps count."""
+"""Meaning of an evaluation, by whether overlaps count."""
 
 
 def markdown_page(
     name: str,
-    entries: Sequence[RunGroup],
+    groups: Sequence[RunGroup],
     claims: Sequence[JudgedClaim],
     figures: Mapping[str, str],
     without_curves: Sequence[str] = (),
 ) -> str:
-    """All of an analysis in words; `figures` says why one was left out."""
+    """Write an analysis as a page; `figures` gives the reason why one was left out."""
     parts = [
         f"# {name}\n",
-        _overview(entries),
+        _overview(groups),
         *([f"{left_out_words(without_curves)}\n"] if without_curves else []),
         f"{CLAIMS_HEADING}\n",
         _claims(claims),
@@ -258,27 +251,27 @@ def markdown_page(
         "`methods.csv` and `runs.csv` have the numbers. Coverage is of S_G; robust coverage is of its "
         "entries of fitness 2, by successes of fitness 2. *Counted* says what an evaluation is: compare "
         "methods that count alike, or look at proposals and CPU time.\n",
-        *_scenes(entries),
+        *_scenes(groups),
     ]
     return "\n".join(parts)
 
 
 def left_out_words(runs: Sequence[str]) -> str:
-    """What is said of runs whose history cannot be told any more, by their names."""
+    """Name the runs of which too little was kept for curves."""
     verb = "run is" if len(runs) == 1 else "runs are"
     return (
         f"{len(runs)} {verb} left out, of which only the successes were kept: {first_few(runs, MOST_NAMED)}."
     )
 
 
-def _overview(entries: Sequence[RunGroup]) -> str:
-    runs = [run for entry in entries for run in entry.runs]
+def _overview(groups: Sequence[RunGroup]) -> str:
+    runs = [run for group in groups for run in group.runs]
     going = [run for run in runs if not run.complete]
-    said = [f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})" for run in going]
+    names = [f"`{run.path.name}` ({run.evaluations:,} of {run.spec.evaluations:,})" for run in going]
     more = ", see `runs.csv`" if len(going) > MOST_NAMED else ""
-    scenes, evaluations = {entry.scene for entry in entries}, sum(run.evaluations for run in runs)
+    scenes, evaluations = {group.scene for group in groups}, sum(run.evaluations for run in runs)
     spent = counted(evaluations, "evaluation", told="{:,}".format)
-    unfinished = f" {len(going)} unfinished: {first_few(said, MOST_NAMED)}{more}." if going else ""
+    unfinished = f" {len(going)} unfinished: {first_few(names, MOST_NAMED)}{more}." if going else ""
     return f"{counted(len(runs), 'run')} on {counted(len(scenes), 'scene')}, {spent}.{unfinished}\n"
 
 
@@ -287,28 +280,10 @@ def _claims(claims: Sequence[JudgedClaim]) -> str:
         ("", "claim", "verdict", "what agreeing means"),
         [(one.claim.letter, one.claim.words, _verdict(one), one.claim.criterion) for one in claims],
     )
+    interval = f"{CONFIDENCE_LEVEL:.0%} interval"
     numbers = markdown_table(
-        (
-            "",
-            "number",
-            "value",
-            f"{CONFIDENCE_LEVEL:.0%} interval",
-            "this number",
-            "evaluations",
-            "scenes",
-            "runs",
-        ),
-        [
-            (
-                one.claim.letter,
-                f"`{found.subject}`: {found.statistic}",
-                *_number(found.interval),
-                verdict,
-                *_sample(found),
-            )
-            for one in claims
-            for found, verdict in _judged(one)
-        ],
+        ("", "number", "value", interval, "this number", "evaluations", "scenes", "runs"),
+        [line for one in claims for line in _number_lines(one)],
     )
     notes = (
         f"Intervals: hierarchical bootstrap, {RESAMPLES:,} resamples of scenes and of the runs in each. "
@@ -322,27 +297,28 @@ def _claims(claims: Sequence[JudgedClaim]) -> str:
 
 def _verdict(one: JudgedClaim) -> str:
     lacking = (
-        f" ({one.absent} of {len(one.claim.methods)} numbers not in this campaign)" if one.absent else ""
+        f" ({one.absent_count} of {len(one.claim.methods)} numbers not in this campaign)"
+        if one.absent_count
+        else ""
     )
-    return f"**{one.verdict.value}**{FEW_MARK if one.is_of_few else ''}{lacking if one.findings else ''}"
+    return f"**{one.verdict.value}**{FEW_MARK if one.has_few_runs else ''}{lacking if one.evidence else ''}"
 
 
-def _judged(one: JudgedClaim) -> Iterable[tuple[ClaimEvidence, str]]:
-    for found in one.findings:
-        yield found, one.claim.band.verdict(found.interval).value + (FEW_MARK if found.is_of_few else "")
-    for found in one.beside:
-        yield found, "to compare with"
-
-
-def _number(found: ConfidenceInterval) -> tuple[str, str]:
-    interval = f"{found.low:.3g} to {found.high:.3g}" if found.is_known else "none: one run"
-    return f"{found.value:.3g}", interval
-
-
-def _sample(found: ClaimEvidence) -> tuple[str, str, str]:
-    low, high = min(found.evaluations), max(found.evaluations)
-    ends = f"{low:,}" if low == high else f"{low:,} to {high:,}"
-    return ends, str(found.interval.scenes), " / ".join(map(str, found.interval.runs))
+def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:
+    """Yield a line for each number of a claim, those to compare with at the end."""
+    for found, is_judged in one.numbers:
+        interval, (low, high) = found.interval, (min(found.evaluations), max(found.evaluations))
+        verdict = one.claim.band.verdict(interval).value + (FEW_MARK if found.has_few_runs else "")
+        yield (
+            one.claim.letter,
+            f"`{found.subject}`: {found.statistic}",
+            f"{interval.value:.3g}",
+            f"{interval.low:.3g} to {interval.high:.3g}" if interval.is_known else "none: one run",
+            verdict if is_judged else "to compare with",
+            f"{low:,}" if low == high else f"{low:,} to {high:,}",
+            str(interval.scenes),
+            " / ".join(map(str, interval.runs)),
+        )
 
 
 def _figure(name: str, missing: str) -> str:
@@ -351,47 +327,48 @@ def _figure(name: str, missing: str) -> str:
     return f"## {name.capitalize()}\n\n![{name}]({name}.png)\n\n{CAPTIONS[name]}\n"
 
 
-def _scenes(entries: Sequence[RunGroup]) -> Iterable[str]:
+def _scenes(groups: Sequence[RunGroup]) -> Iterable[str]:
     scenes: dict[SceneName, list[RunGroup]] = {}
-    for entry in entries:
-        scenes.setdefault(entry.scene, []).append(entry)
+    for group in groups:
+        scenes.setdefault(group.scene, []).append(group)
     for scene, here in scenes.items():
         yield f"### {scene.words}\n"
-        yield _target_words(here[0])
+        target = here[0].target
+        mark = ", by a stand-in for the scan" if target.stand_in else ""
+        if target.size:
+            yield f"S_G has {target.size:,} entries{mark}.\n"
+        else:
+            yield f"No coverage: {target.why}.\n"
         yield _methods(here)
 
 
-def _target_words(entry: RunGroup) -> str:
-    target = entry.target
-    if not target.size:
-        return f"No coverage: {target.why}.\n"
-    mark = ", by a stand-in for the scan" if target.stand_in else ""
-    return f"S_G has {target.size:,} entries{mark}.\n"
-
-
-def _methods(entries: Sequence[RunGroup]) -> str:
-    rows = method_rows(entries)
-    shown = [name for name in FIGURES if any(row[name] is not None for row in rows)]
-    body = [
-        (entry.name, _runs(entry), COUNTED[entry.overlaps], *(_quartiles(row, name) for name in shown))
-        for entry, row in zip(entries, rows, strict=True)
+def _methods(groups: Sequence[RunGroup]) -> str:
+    rows = method_rows(groups)
+    shown = [
+        name
+        for name, figure in FIGURES.items()
+        if figure.heading and any(row[name] is not None for row in rows)
     ]
-    return markdown_table(("method", "n", "counted", *(FIGURES[name][0] for name in shown)), body)
+    body = [
+        (group.name, _run_counts(group), COUNTED[group.overlaps], *(_quartiles(row, name) for name in shown))
+        for group, row in zip(groups, rows, strict=True)
+    ]
+    return markdown_table(("method", "n", "counted", *(FIGURES[name].heading for name in shown)), body)
 
 
-def _runs(entry: RunGroup) -> str:
-    return f"{len(entry.runs)}{f', {entry.unfinished} unfinished' if entry.unfinished else ''}"
+def _run_counts(group: RunGroup) -> str:
+    return f"{len(group.runs)}{f', {group.unfinished} unfinished' if group.unfinished else ''}"
 
 
 def _quartiles(row: Row, name: str) -> str:
     values: list[Any] = [row[name], row[f"{name}_q1"], row[f"{name}_q3"]]
     if values[0] is None:
         return ""
-    median, low, high = map(FIGURES[name][1], values)
+    median, low, high = map(FIGURES[name].words, values)
     return median if low == high == median else f"{median} [{low}, {high}]"
 
 
 def markdown_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
+    """Write a table in Markdown."""
     lines = [columns, ["---"] * len(columns), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

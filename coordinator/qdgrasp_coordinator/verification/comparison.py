@@ -41,11 +41,11 @@ class DifferentRow(Struct, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """One line for a person."""
-        told = ", ".join(
+        changes = [
             f"{name} {values.now} instead of {values.recorded}" for name, values in self.columns.items()
-        )
+        ]
         failed = f" ({self.reason})" if self.reason else ""
-        return f"row {self.number} of {self.folder}, trial {self.trial}: {told}{failed}"
+        return f"row {self.number} of {self.folder}, trial {self.trial}: {', '.join(changes)}{failed}"
 
 
 class PlatformShare(Struct, frozen=True, kw_only=True):
@@ -60,14 +60,11 @@ class PlatformShare(Struct, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """One line for a person."""
-        made = f"{self.rows} of them were made on"
         if not self.platform:
-            return f"{made} a platform that is not recorded"
-        return (
-            f"{made} another platform; here is {self.differences}"
-            if self.differences
-            else f"{made} this platform"
-        )
+            which = "a platform that is not recorded"
+        else:
+            which = f"another platform; here is {self.differences}" if self.differences else "this platform"
+        return f"{self.rows} of them were made on {which}"
 
 
 class VerificationReport(Struct, frozen=True, kw_only=True):
@@ -112,22 +109,14 @@ PLATFORM_SAME = "It was recorded on this very platform, on which it must be the 
 
 
 def compare_rows(recorded: Rows, now: Rows) -> dict[str, NDArray[np.bool_]]:
-    """Return for each result column which rows (n,) differ in any bit.
-
-    Parameters
-    ----------
-    recorded, now
-        (n,) of one shape, with the same keys.
-    """
-    return {column.name: _bits_differ(recorded[column.name], now[column.name]) for column in RESULT}
-
-
-def _bits_differ(one: NDArray[np.generic], other: NDArray[np.generic]) -> NDArray[np.bool_]:
-    first, second = (
-        np.ascontiguousarray(values).reshape(len(values), -1).view(np.uint8) for values in (one, other)
-    )
-    unlike: NDArray[np.bool_] = (first != second).any(axis=1)
-    return unlike
+    """Flag for each result column the rows (n,) of one shape that differ in any bit."""
+    differs = {}
+    for name in (column.name for column in RESULT):
+        first, second = (
+            np.ascontiguousarray(rows[name]).reshape(len(rows), -1).view(np.uint8) for rows in (recorded, now)
+        )
+        differs[name] = np.asarray((first != second).any(axis=1))
+    return differs
 
 
 def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
@@ -140,11 +129,10 @@ def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
 
 def difference_words(recorded: np.void, now: np.void) -> list[str]:
     """Describe what differs, column by column."""
-    unlike = compare_rows(recorded.reshape(1), now.reshape(1))
     return [
         f"{name} {column_words(now, name)} instead of {column_words(recorded, name)}"
-        for name in unlike
-        if unlike[name][0]
+        for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
+        if differs[0]
     ]
 
 

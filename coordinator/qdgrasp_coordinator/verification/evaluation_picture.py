@@ -1,6 +1,6 @@
 """Writes the replay of an evaluation as a PNG or a GIF, annotated, above a caption."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,16 +8,8 @@ import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_coordinator.rendering.annotations import (
-    ANNOTATION_COLOURS,
-    APPROACH_COLOUR,
-    CONTACT_WORDS,
-    INK,
-    Canvas,
-    SceneAnnotations,
-    contact_colours,
-    label_font,
-)
+from qdgrasp_coordinator.rendering import annotations
+from qdgrasp_coordinator.rendering.annotations import INK, Canvas, label_font
 from qdgrasp_coordinator.report import row_report
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.verification import comparison
@@ -43,7 +35,6 @@ PHASE_WORDS = {
     "shake z": "shake along z, {seconds:.2f} s",
     "shake x": "shake about x, {seconds:.2f} s",
 }
-CLOSED_WORDS = "after closing"
 
 
 @dataclass(frozen=True)
@@ -52,27 +43,29 @@ class ReplayCaption:
 
     title: str
     lines: tuple[str, ...]
-    closes: int
-    """Steps that the hand closed for."""
+    closing_steps: int
+    """Steps in which the hand closed."""
 
     @classmethod
-    def of(cls, shown: ReplayTarget, shots: Sequence[ReplayFrame], unlike: Sequence[str]) -> "ReplayCaption":
-        """Make the caption of a row whose replay differs in `unlike` from what is recorded."""
+    def of(
+        cls, shown: ReplayTarget, shots: Sequence[ReplayFrame], differences: Sequence[str]
+    ) -> "ReplayCaption":
+        """Make the caption of a row whose replay differs in `differences` from what is recorded."""
         spec, outcome = shown.found_by.spec, shown.outcome
         made = f"protocol {spec.protocol}, method {spec.method}, seed {spec.seed}"
+        agreement = f"but replayed: {', '.join(differences)}" if differences else "replayed as recorded"
+        if outcome is Outcome.DEAD_END:
+            agreement = "not simulated in the run"
         return cls(
             _title(shown),
-            (
-                f"{REPLAY_MEANINGS[outcome]}{_contact_words(shown)}",
-                f"{made}; {_agreement_words(outcome, unlike)}",
-            ),
+            (f"{REPLAY_MEANINGS[outcome]}{_contact_words(shown)}", f"{made}; {agreement}"),
             max((shot.step for shot in shots if shot.phase == "closing"), default=0),
         )
 
     def phase(self, shot: ReplayFrame) -> str:
         """Describe what happens in a frame."""
-        if shot.phase == "closing" and shot.step == self.closes:
-            return CLOSED_WORDS
+        if shot.phase == "closing" and shot.step == self.closing_steps:
+            return "after closing"
         return PHASE_WORDS[shot.phase].format(seconds=shot.step / STEPS_PER_SECOND)
 
 
@@ -94,13 +87,6 @@ def _contact_words(shown: ReplayTarget) -> str:
     return f"; {touching}, penetration {1000 * shown.row['penetration']:.2g} mm"
 
 
-def _agreement_words(outcome: Outcome, unlike: Sequence[str]) -> str:
-    """State whether the replay gave what was recorded."""
-    if outcome is Outcome.DEAD_END:
-        return "not simulated in the run"
-    return f"but replayed: {', '.join(unlike)}" if unlike else "replayed as recorded"
-
-
 SMALLEST, LARGEST = PictureSize(320, 240), {".png": PictureSize(3840, 2160), ".gif": PictureSize(1280, 960)}
 """Least size of a picture, and the greatest by file ending: a film has some ninety frames."""
 FAINT = "#5c646d"
@@ -112,13 +98,7 @@ LEGEND_GAP = 12  # Least difference of a film's colours from those of marks, in 
 
 
 class PictureLayout:
-    """Division of a picture of some size: the scene above, words below.
-
-    Parameters
-    ----------
-    size
-        Of the whole picture.
-    """
+    """Division of a picture of some size: the scene above, words below."""
 
     def __init__(self, size: PictureSize) -> None:
         self.size = size
@@ -130,17 +110,14 @@ class PictureLayout:
     @property
     def scene(self) -> PictureSize:
         """Size of the replayed scene."""
-        return PictureSize(self.size.width, self.size.height - self._caption)
+        caption = 2 * MARGIN + sum(map(self._step, self._rows))
+        return PictureSize(self.size.width, self.size.height - caption)
 
     @property
     def heights(self) -> list[int]:
         """Vertical middles of the rows of words [pixels]."""
         top = self.scene.height + MARGIN
         return [top + sum(map(self._step, self._rows[:n])) + row // 2 for n, row in enumerate(self._rows)]
-
-    @property
-    def _caption(self) -> int:
-        return 2 * MARGIN + sum(map(self._step, self._rows))
 
     @staticmethod
     def _step(size: int) -> int:
@@ -150,22 +127,25 @@ class PictureLayout:
 def replay_pictures(
     replay: ReplayedEvaluation, gripper: SceneGripper, caption: ReplayCaption, layout: PictureLayout
 ) -> Iterator[Image.Image]:
-    """Each frame of a replay, finished."""
+    """Yield each frame of a replay with annotations and caption."""
     shots = replay.answer.shots
-    marks = SceneAnnotations(gripper, replay.answer.camera, layout.small)
+    marks = annotations.SceneAnnotations(gripper, replay.answer.camera, layout.small)
     legend = [
-        ("approach axis", APPROACH_COLOUR),
-        *((CONTACT_WORDS[hue], hue) for hue in contact_colours(shots)),
+        ("approach axis", annotations.APPROACH_COLOUR),
+        *((annotations.CONTACT_WORDS[hue], hue) for hue in annotations.contact_colours(shots)),
     ]
     for frame, shot in zip(replay.frames, shots, strict=True):
         canvas = Canvas(frame)
         marks.draw(canvas, shot)
-        yield _with_words(canvas.finished(), caption, shot, legend, layout)
+        yield _with_words(canvas.composed(), caption, shot, legend, layout)
 
 
 def write_pictures(path: Path, images: Iterator[Image.Image], shots: Sequence[ReplayFrame]) -> None:
     """Write the pictures of a replay to a new file: a PNG of the last of them, or a GIF of all."""
-    WRITERS[path.suffix.lower()](path, list(images), shots)
+    if path.suffix.lower() == ".gif":
+        _write_gif(path, list(images), shots)
+    else:
+        list(images)[-1].save(path, format="PNG")
 
 
 def _with_words(
@@ -175,7 +155,7 @@ def _with_words(
     legend: Sequence[tuple[str, str]],
     layout: PictureLayout,
 ) -> Image.Image:
-    """A scene with its caption below."""
+    """Put a caption below a scene."""
     whole = Image.new("RGB", layout.size, "white")
     whole.paste(scene)
     pen = ImageDraw.Draw(whole)
@@ -183,41 +163,31 @@ def _with_words(
     lines = [caption.title, *caption.lines, caption.phase(shot)]
     sizes = [layout.large, *[layout.small] * len(lines)]
     for height, size, words in zip(layout.heights, sizes, lines, strict=False):
-        _write_fitting(pen, height, words, size, INK if words is caption.title else FAINT, layout.size.width)
+        font = label_font(_fitting_size(pen, words, size, layout.size.width - 2 * MARGIN))
+        pen.text((MARGIN, height), words, INK if words is caption.title else FAINT, font, anchor="lm")
     _write_legend(pen, layout, legend)
     return whole
 
 
-def _write_fitting(
-    pen: ImageDraw.ImageDraw, height: float, words: str, size: int, colour: str, width: int
-) -> None:
-    """Write a line, in letters as small as it needs."""
-    while size > LEAST_LETTERS and pen.textlength(words, label_font(size)) > width - 2 * MARGIN:
+def _fitting_size(pen: ImageDraw.ImageDraw, words: str, size: int, width: float, extra: float = 0.0) -> int:
+    """Return the letters up to `size` in which words and `extra` letters beside them fit."""
+    while size > LEAST_LETTERS and pen.textlength(words, label_font(size)) + extra * size > width:
         size -= 1
-    pen.text((MARGIN, height), words, colour, label_font(size), anchor="lm")
+    return size
 
 
 def _write_legend(pen: ImageDraw.ImageDraw, layout: PictureLayout, legend: Sequence[tuple[str, str]]) -> None:
     """Draw what the colours mean, side by side in the last line, in letters as small as needed."""
-    height, size, x = layout.heights[-1], layout.small, float(MARGIN)
-    words = " ".join(word for word, _ in legend)
-    while (
-        size > LEAST_LETTERS
-        and pen.textlength(words, label_font(size)) + 3 * size * len(legend) > layout.size.width
-    ):
-        size -= 1
+    height, x, line = layout.heights[-1], float(MARGIN), " ".join(word for word, _ in legend)
+    size = _fitting_size(pen, line, layout.small, layout.size.width, 3 * len(legend))
     for words, colour in legend:
         pen.ellipse([x, height - size // 3, x + 2 * (size // 3), height + size // 3], fill=colour)
         pen.text((x + size, height), words, FAINT, label_font(size), anchor="lm")
         x += pen.textlength(words, label_font(size)) + 2.5 * size
 
 
-def _write_png(path: Path, images: Sequence[Image.Image], _: Sequence[ReplayFrame]) -> None:
-    images[-1].save(path, format="PNG")
-
-
 def _write_gif(path: Path, images: Sequence[Image.Image], shots: Sequence[ReplayFrame]) -> None:
-    """All frames in one set of colours, so that nothing flickers."""
+    """Write all frames in one set of colours, so that nothing flickers."""
     palette = _palette(images[:: max(1, len(images) // PALETTE_IMAGES)])
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     durations = [round(1000 * shot.seconds) for shot in shots]
@@ -229,13 +199,11 @@ def _palette(images: Sequence[Image.Image]) -> Image.Image:
     sheet = Image.new("RGB", (images[0].width, images[0].height * len(images)))
     for place, image in enumerate(images):
         sheet.paste(image, (0, place * image.height))
-    found = (
-        sheet.quantize(PALETTE_COLOURS, method=Image.Quantize.MEDIANCUT)
-        .convert("RGB")
-        .getcolors(PALETTE_COLOURS)
-        or []
+    reduced = sheet.quantize(PALETTE_COLOURS, method=Image.Quantize.MEDIANCUT).convert("RGB")
+    found = reduced.getcolors(PALETTE_COLOURS) or []
+    exact = np.array(
+        [ImageColor.getrgb(hue) for hue in ("white", FAINT, INK, *annotations.ANNOTATION_COLOURS)]
     )
-    exact = np.array([ImageColor.getrgb(hue) for hue in ("white", FAINT, INK, *ANNOTATION_COLOURS)])
     others = np.array([colour for _, colour in found])
     is_apart = np.abs(others[:, None] - exact).max(axis=2).min(axis=1) > LEGEND_GAP
     palette = Image.new("P", (1, 1))
@@ -243,54 +211,30 @@ def _palette(images: Sequence[Image.Image]) -> Image.Image:
     return palette
 
 
-WRITERS: dict[str, Callable[[Path, Sequence[Image.Image], Sequence[ReplayFrame]], None]] = {
-    ".png": _write_png,
-    ".gif": _write_gif,
-}
-"""By the ending of a file's name."""
+def write_evaluation(shown: ReplayTarget, options: ReplayOptions, out: OutFile, stop: Stop) -> list[str]:
+    """Replay a row and write its picture or film, `options.size` with its caption.
 
-
-def write_evaluation(shown: ReplayTarget, wish: ReplayOptions, out: OutFile, stop: Stop) -> list[str]:
-    """Replay a row and write its picture or film.
-
-    Parameters
-    ----------
-    wish
-        Its size is that of the whole picture, caption and all.
-
-    Returns
-    -------
-    unlike
-        What the replay found in place of what is recorded, column by column; nothing where they agree, and of
-        a dead end, which was not simulated.
-
-    Raises
-    ------
-    InputError
-        The part that is asked for did not happen, or the file cannot be written.
-    NotReplayed
-        It could not be replayed.
+    Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
+    and of a dead end, which was not simulated. Raises InputError if the part that is asked for did not
+    happen, or the file cannot be written, and NotReplayed if it could not be replayed.
     """
-    layout = PictureLayout(wish.size)
-    with replay_evaluation(shown, replace(wish, size=layout.scene), stop) as replay:
+    layout = PictureLayout(options.size)
+    with replay_evaluation(shown, replace(options, size=layout.scene), stop) as replay:
         if replay is None:
             return []
-        unlike, shots = _differences(shown, replay), replay.answer.shots
-        caption = ReplayCaption.of(shown, shots, unlike)
+        differences, shots = list[str](), replay.answer.shots
+        if shown.outcome is not Outcome.DEAD_END:
+            now = comparison.row_with_answer(shown.row, replay.answer)
+            differences = comparison.difference_words(shown.row, now)
+        caption = ReplayCaption.of(shown, shots, differences)
         with out.writing() as made:
             write_pictures(made, replay_pictures(replay, shown.scene.gripper, caption, layout), shots)
-    return unlike
+    return differences
 
 
-def difference_reason(shown: ReplayTarget, unlike: list[str]) -> str:
+def difference_reason(shown: ReplayTarget, differences: list[str]) -> str:
     """Describe the differences, and how this platform differs from that of the row."""
     return (
-        f"The replay differs from row {shown.number}: {', '.join(unlike)}. "
+        f"The replay differs from row {shown.number}: {', '.join(differences)}. "
         f"{comparison.platform_words(shown.found_by.platform, local_platform())}"
     )
-
-
-def _differences(shown: ReplayTarget, replay: ReplayedEvaluation) -> list[str]:
-    if shown.outcome is Outcome.DEAD_END:
-        return []
-    return comparison.difference_words(shown.row, comparison.row_with_answer(shown.row, replay.answer))

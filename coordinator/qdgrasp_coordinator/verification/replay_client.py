@@ -1,6 +1,6 @@
 """Finds a recorded row with its scene, and has a worker's process replay its evaluation.
 
-The row has the shape of its own run, whatever that was merged with.
+The row has the shape of its own run, also in a merged journal.
 """
 
 import json
@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -33,12 +33,9 @@ from qdgrasp_protocol.rows import Outcome, Rows
 
 
 def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Scene) -> Rows:
-    """Rows of a folder in the shape that a worker evaluates them in.
+    """Return rows of a folder in the shape that a worker evaluates them in.
 
-    Raises
-    ------
-    FolderError
-        They are of a version with other genes.
+    Raises FolderError if they are of a version with other genes.
     """
     prior = method(found_by.spec.method).prior
     shape, genes = row_shape(scene, prior), rows.dtype["genome"].shape[0]
@@ -102,14 +99,10 @@ class NoSuchTrial(InputError):
 
 
 def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> ReplayTarget:
-    """A row by its number in a folder's journal, or one of the trials of what it evaluates.
+    """Find a row by its number in a folder's journal, or one of the trials of its genome.
 
-    Raises
-    ------
-    NoSuchRow, NoSuchTrial, NoPose
-        There is no such row or trial, or nothing of it to show.
-    FolderError
-        The folder cannot be read.
+    Raises NoSuchRow, NoSuchTrial or NoPose if there is no such row or trial, or nothing of it to show, and
+    FolderError if the folder cannot be read.
     """
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
@@ -127,7 +120,7 @@ def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> R
 def _trial_of(
     journal: Journal, number: int, row: np.void, trial: int, found_by: Provenance
 ) -> tuple[int, np.void]:
-    """The number and the row of one trial of what a row evaluates."""
+    """Return number and row of one trial of a row's genome."""
     first, recorded = found_by.rows.start, 0
     for rows in journal.kept(first, found_by.rows.stop):
         is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
@@ -159,7 +152,7 @@ class ReplayOptions:
 
     size: PictureSize
     view: tuple[float, float] | None = None
-    """Azimuth and elevation of the camera [deg]; None: where the most is seen."""
+    """Azimuth and elevation of the camera [deg]; None: those that show most."""
     what: ReplayPart | None = None
     """The part that is filmed; None: a still."""
     parts: bool = False
@@ -190,67 +183,48 @@ class ReplayedEvaluation:
 class ReplayFailed(QdgraspError):
     """The process that replays ended without an answer."""
 
-    def __init__(self, death: ProcessExit, said: str) -> None:
-        super().__init__(f"The process that replays {death.description}. {said}".strip())
+    def __init__(self, death: ProcessExit, words: str) -> None:
+        super().__init__(f"The process that replays {death.description}. {words}".strip())
 
 
 @contextmanager
 def replay_evaluation(
-    shown: ReplayTarget, wish: ReplayOptions, stop: Stop
+    shown: ReplayTarget, options: ReplayOptions, stop: Stop
 ) -> Iterator[ReplayedEvaluation | None]:
-    """The replay of a row, while its frames are looked at; None where a signal came first.
+    """Replay a row for a with-block that reads its frames; None where a signal came first.
 
-    Raises
-    ------
-    InputError
-        The part that is asked for did not happen.
-    NotReplayed
-        It could not be replayed.
+    Raises InputError if the part that is asked for did not happen, and NotReplayed if it could not be
+    replayed.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         folder = Path(name)
         (folder / SCENE).write_bytes(shown.bundle.payload)
-        (folder / REQUEST).write_bytes(msgspec.json.encode(wish.of(shown)))
+        (folder / REQUEST).write_bytes(msgspec.json.encode(options.of(shown)))
         _run_process(folder, stop)
-        yield None if stop.is_set else _read(folder)
+        if stop.is_set:
+            yield None
+            return
+        answer = msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
+        yield ReplayedEvaluation(answer, np.load(folder / FRAMES, mmap_mode="r", allow_pickle=False))
 
 
 def local_platform() -> dict[str, str]:
     """Return the entries that decide the bits of results on this machine."""
-    told = subprocess.run(
-        [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"],
-        capture_output=True,
-        check=True,
-        text=True,
-    )
-    return dict(json.loads(told.stdout))
+    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    test = subprocess.run(command, capture_output=True, check=True, text=True)
+    return dict(json.loads(test.stdout))
 
 
 def _run_process(folder: Path, stop: Stop) -> None:
     """Start the process that replays, and wait for it."""
-    with ProcessGroup(folder, GRACE) as crew:
-        crew.start("replay", REPLAY_MODULE, [str(folder)])
-        while not (stop.is_set or (ended := crew.exits())):
-            _wait(crew)
+    with ProcessGroup(folder, GRACE) as processes:
+        processes.start("replay", REPLAY_MODULE, [str(folder)])
+        while not (stop.is_set or (ended := processes.exits())):
+            with suppress(subprocess.TimeoutExpired):
+                processes.process("replay").wait(POLL_INTERVAL)
         for death in () if stop.is_set else ended:
-            _check(death, crew)
-
-
-def _wait(crew: ProcessGroup) -> None:
-    try:
-        crew.process("replay").wait(POLL_INTERVAL)
-    except subprocess.TimeoutExpired:
-        return
-
-
-def _check(death: ProcessExit, crew: ProcessGroup) -> None:
-    said = crew.last_error(death.name)
-    if death.exit_code == InputError.exit_code:
-        raise InputError(said)
-    if death.exit_code:
-        raise ReplayFailed(death, said)
-
-
-def _read(folder: Path) -> ReplayedEvaluation:
-    answer = msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
-    return ReplayedEvaluation(answer, np.load(folder / FRAMES, mmap_mode="r", allow_pickle=False))
+            words = processes.last_error(death.name)
+            if death.exit_code == InputError.exit_code:
+                raise InputError(words)
+            if death.exit_code:
+                raise ReplayFailed(death, words)

@@ -4,8 +4,9 @@ Rows are drawn so that each outcome has its share, and evaluated as runs of a te
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +45,17 @@ def balanced_sample(kinds: RowKinds, n: int, random: Generator) -> NDArray[np.in
     Of a kind that has fewer all are taken, of one that has more they are drawn uniformly; all, where there
     are fewer than `n`.
     """
+    # rank the shuffled rows within their kinds, and take the least ranks
     order = random.permutation(len(kinds))
     order = order[np.argsort(kinds[order], kind="stable")]
     starts = np.concatenate([[0], np.cumsum(np.bincount(kinds))])
-    turns = np.arange(len(order)) - starts[kinds[order]]
-    chosen = order[np.argsort(turns, kind="stable")[:n]]
+    ranks = np.arange(len(order)) - starts[kinds[order]]
+    chosen = order[np.argsort(ranks, kind="stable")[:n]]
     places: NDArray[np.int64] = np.sort(chosen)
     return places
 
 
-MOST_ROWS = 4096  # Rows in a lot
+MOST_ROWS = 4096  # Rows in a selection
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class RowSelection:
     """(n,): of the rows in the folder's journal, ascending."""
 
     def rows(self) -> Rows:
-        """The rows as they are recorded, in the shape of their own run."""
+        """Read the rows as they are recorded, in the shape of their own run."""
         first, stop = int(self.numbers[0]), int(self.numbers[-1]) + 1
         with self.folder.journal() as journal:
             parts, begin = [], first
@@ -77,105 +79,85 @@ class RowSelection:
         return in_own_shape(np.concatenate(parts), self.folder, self.found_by, self.folder.scene())
 
 
-TakeComparison = Callable[[RowSelection, int, np.void, np.void, str], None]
-"""Takes a lot, a row's place in it, the row as recorded and as now, and why it failed."""
-
-
-class ReevaluationQueue:
-    """Programme of a job that evaluates lots of rows again; each is read when it is next."""
-
-    def __init__(self, lots: Sequence[RowSelection], compared: TakeComparison) -> None:
-        self._lots = {str(number): lot for number, lot in enumerate(lots)}
-        self._left = deque(self._lots)
-        self._compared = compared
-        self.extent = JobExtent.of({name: len(lot.numbers) for name, lot in self._lots.items()})
-
-    def next(self) -> RunPlan | None:
-        """Return the next lot; None when no lot is left."""
-        if not self._left:
-            return None
-        name = self._left.popleft()
-        return self._assignment(name, self._lots[name])
-
-    def put_back(self, run: str) -> None:
-        """Have a lot evaluated from its beginning, before any other."""
-        self._left.appendleft(run)
-
-    def _assignment(self, name: str, lot: RowSelection) -> RunPlan:
-        spec, recorded = lot.found_by.spec, lot.rows()
-        prior = method(spec.method).prior
-
-        def compare(place: int, now: np.void, reason: str) -> None:
-            self._compared(lot, place, recorded[place], now, reason)
-
-        return RunPlan(
-            name,
-            to_toml(spec).encode(),
-            lot.folder.bundle(),
-            prior,
-            row_shape(lot.folder.scene(), prior),
-            ReevaluationPlan(recorded, compare),
-            len(recorded),
-        )
-
-
 VERIFICATION_JOB = "verify"
 TRIAL_KIND = 16  # Offset of a trial's kind from that of a nominal row with the same outcome
 
 
-@dataclass(frozen=True)
-class ComparableRows:
-    """The rows of one run in one folder, of which some are chosen."""
+class ReevaluationQueue:
+    """Queue of selections of rows that are evaluated again, and the results so far.
 
-    folder: RunFolder
-    found_by: Provenance
-    numbers: NDArray[np.int64]
-    """(n,): of those that can be compared, ascending."""
-    kinds: NDArray[np.uint8]
-    """(n,): by outcome, nominal rows apart from trials."""
+    Each selection is read when it is next.
+    """
 
-
-class ComparisonCounts:
-    """Results of the rows that were evaluated again so far."""
-
-    def __init__(self) -> None:
+    def __init__(self, selections: Sequence[RowSelection]) -> None:
+        self._selections = {str(number): one for number, one in enumerate(selections)}
+        self._left = deque(self._selections)
+        self._sinks: list[MemorySink] = []
+        self.extent = JobExtent.of({name: len(one.numbers) for name, one in self._selections.items()})
         self.different: list[DifferentRow] = []
         self.columns: Counter[str] = Counter()
         self.outcomes: Counter[Outcome] = Counter()
-        self._records: list[MemorySink] = []
 
-    def compared(self, lot: RowSelection, place: int, recorded: np.void, now: np.void, reason: str) -> None:
-        """Compare a row with what is recorded, and count it."""
+    def next(self) -> RunPlan | None:
+        """Return the next selection as a run; None when all were given."""
+        if not self._left:
+            return None
+        name = self._left.popleft()
+        selection = self._selections[name]
+        spec, recorded = selection.found_by.spec, selection.rows()
+        prior = method(spec.method).prior
+        return RunPlan(
+            name,
+            to_toml(spec).encode(),
+            selection.folder.bundle(),
+            prior,
+            row_shape(selection.folder.scene(), prior),
+            ReevaluationPlan(recorded, partial(self.add_row, selection, recorded)),
+            len(recorded),
+        )
+
+    def put_back(self, run: str) -> None:
+        """Have a selection evaluated from its beginning, before any other."""
+        self._left.appendleft(run)
+
+    def make_sink(self, plan: RunPlan) -> MemorySink:
+        """Make the in-memory sink of a selection."""
+        self._sinks.append(MemorySink(plan.shape))
+        return self._sinks[-1]
+
+    def add_row(self, selection: RowSelection, rows: Rows, place: int, now: np.void, reason: str) -> None:
+        """Compare a row with the one at its place in the recorded `rows` (n,), and count it."""
+        recorded = rows[place]
         self.outcomes[Outcome(recorded["outcome"])] += 1
-        unlike = compare_rows(recorded.reshape(1), now.reshape(1))
-        names = [name for name, differs in unlike.items() if differs[0]]
-        if names:
-            self.columns.update(names)
-            values = {
-                name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
-                for name in names
-            }
-            self.different.append(_different_row(lot, place, recorded, values, reason))
-
-    def record(self, assignment: RunPlan) -> MemorySink:
-        """Make the in-memory record of a lot."""
-        self._records.append(MemorySink(assignment.shape))
-        return self._records[-1]
+        differences = {
+            name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
+            for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
+            if differs[0]
+        }
+        if not differences:
+            return
+        self.columns.update(differences.keys())
+        self.different.append(
+            DifferentRow(
+                folder=str(selection.folder.path),
+                run=selection.found_by.run,
+                number=int(selection.numbers[place]),
+                generation=int(recorded["generation"]),
+                index=int(recorded["index"]),
+                trial=int(recorded["trial"]),
+                columns=differences,
+                reason=reason,
+            )
+        )
 
     @property
     def platform(self) -> dict[str, str]:
-        """Platform on which they were evaluated."""
-        return next((record.platform for record in self._records if record.platform), {})
+        """Platform on which rows were evaluated."""
+        return next((sink.platform for sink in self._sinks if sink.platform), {})
 
 
 def run_folders_at(path: Path) -> list[RunFolder]:
-    """The runs at `path`: that of a run's own folder, or those of a campaign.
-
-    Raises
-    ------
-    FolderError
-        There is neither.
-    """
+    """Return the run at `path`, or those of the campaign there; raises FolderError."""
     if JobFolder.is_job(path) and JobFolder(path).is_campaign:
         return [RunFolder.open(run) for run in JobFolder(path).run_paths]
     return [RunFolder.open(path)]
@@ -184,98 +166,67 @@ def run_folders_at(path: Path) -> list[RunFolder]:
 def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> list[RowSelection]:
     """Choose rows of all folders, as many of each kind as of any other; `most` None: all.
 
-    Left out are rows on which the simulator failed: a machine may have been to blame.
-
-    Raises
-    ------
-    InputError
-        There are none.
+    Left out are rows on which the simulator failed: a machine may have been to blame. Raises InputError if
+    there is nothing to compare.
     """
     stocks = [stock for folder in folders for stock in _comparable_rows(folder)]
-    kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *(stock.kinds for stock in stocks)])
+    kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *(kinds for _, kinds in stocks)])
     if not len(kinds):
         raise InputError("Nothing is recorded there that could be evaluated again.")
     places = balanced_sample(kinds, len(kinds) if most is None else most, np.random.default_rng(seed))
-    return list(_selections(stocks, places))
+    chosen, first = [], 0
+    for stock, _ in stocks:
+        here = places[(places >= first) & (places < first + len(stock.numbers))] - first
+        first += len(stock.numbers)
+        parts = (here[start : start + MOST_ROWS] for start in range(0, len(here), MOST_ROWS))
+        chosen += [replace(stock, numbers=stock.numbers[part]) for part in parts]
+    return chosen
 
 
 def verify_rows(
-    lots: Sequence[RowSelection], team: LocalJobConfig, display: ProgressDisplay, stop: Stop
+    selections: Sequence[RowSelection], config: LocalJobConfig, display: ProgressDisplay, stop: Stop
 ) -> VerificationReport:
     """Evaluate rows again with workers of this machine, and compare every result bit for bit.
 
-    Raises
-    ------
-    RunsFailed
-        A folder cannot be read.
-    EndedEarly
-        Workers die again and again.
+    Raises RunsFailed if a folder cannot be read, and EndedEarly if workers die again and again.
     """
-    found = ComparisonCounts()
-    run_temporary_job(
-        VERIFICATION_JOB, ReevaluationQueue(lots, found.compared), found.record, team, display, stop
-    )
+    found = ReevaluationQueue(selections)
+    run_temporary_job(VERIFICATION_JOB, found, found.make_sink, config, display, stop)
     rows = sum(found.outcomes.values())
     return VerificationReport(
         rows=rows,
         same=rows - len(found.different),
-        runs=len({(lot.folder.path, lot.found_by.run) for lot in lots}),
+        runs=len({(selection.folder.path, selection.found_by.run) for selection in selections}),
         outcomes={outcome.name.lower(): found.outcomes[outcome] for outcome in sorted(found.outcomes)},
         different=sorted(found.different, key=lambda one: (one.folder, one.number)),
         columns=dict(found.columns.most_common()),
         platform=found.platform,
-        origins=list(_platform_shares(lots, found.platform)),
+        origins=list(_platform_shares(selections, found.platform)),
     )
 
 
-def _comparable_rows(folder: RunFolder) -> Iterator[ComparableRows]:
-    """The rows of a folder that can be compared, run by run."""
+def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[np.uint8]]]:
+    """Yield the rows of each run in a folder that can be compared, with their kinds (n,).
+
+    A kind is an outcome, of nominal rows apart from trials.
+    """
     with folder.journal() as journal:
         for found_by in provenances(folder, journal):
-            blocks = journal.kept(found_by.rows.start, found_by.rows.stop)
-            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *map(_row_kinds, blocks)])
+            parts = [
+                rows["outcome"] + TRIAL_KIND * (rows["trial"] > 0).astype(np.uint8)
+                for rows in journal.kept(found_by.rows.start, found_by.rows.stop)
+            ]
+            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *parts])
             places = np.flatnonzero(kinds % TRIAL_KIND != Outcome.ERROR)
-            yield ComparableRows(folder, found_by, places + found_by.rows.start, kinds[places])
+            yield RowSelection(folder, found_by, places + found_by.rows.start), kinds[places]
 
 
-def _row_kinds(rows: Rows) -> NDArray[np.uint8]:
-    """Return the kind of each row, from its outcome and trial: (n,)."""
-    kinds: NDArray[np.uint8] = rows["outcome"] + np.where(rows["trial"] > 0, TRIAL_KIND, 0).astype(np.uint8)
-    return kinds
-
-
-def _selections(stocks: Sequence[ComparableRows], places: NDArray[np.int64]) -> Iterator[RowSelection]:
-    """Yield the rows at some places of all stocks, ascending, in lots."""
-    first = 0
-    for stock in stocks:
-        here = places[(places >= first) & (places < first + len(stock.numbers))] - first
-        first += len(stock.numbers)
-        for start in range(0, len(here), MOST_ROWS):
-            yield RowSelection(stock.folder, stock.found_by, stock.numbers[here[start : start + MOST_ROWS]])
-
-
-def _different_row(
-    lot: RowSelection, place: int, recorded: np.void, values: dict[str, ComparedValues], reason: str
-) -> DifferentRow:
-    return DifferentRow(
-        folder=str(lot.folder.path),
-        run=lot.found_by.run,
-        number=int(lot.numbers[place]),
-        generation=int(recorded["generation"]),
-        index=int(recorded["index"]),
-        trial=int(recorded["trial"]),
-        columns=values,
-        reason=reason,
-    )
-
-
-def _platform_shares(lots: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
-    """The platforms that rows were made on, those of most rows first."""
+def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
+    """Yield the platforms that rows were made on, those of most rows first."""
     counts: Counter[tuple[tuple[str, str], ...]] = Counter()
-    for lot in lots:
-        counts[tuple(sorted(lot.found_by.platform.items()))] += len(lot.numbers)
+    for selection in selections:
+        counts[tuple(sorted(selection.found_by.platform.items()))] += len(selection.numbers)
     for items, rows in counts.most_common():
         platform = dict(items)
-        yield PlatformShare(
-            rows=rows, platform=platform, differences=run_folder.platform_differences(platform, now)
-        )
+        differences = run_folder.platform_differences(platform, now)
+        yield PlatformShare(rows=rows, platform=platform, differences=differences)

@@ -43,11 +43,7 @@ class TestCrossing:
     def test_lists_are_crossed_and_the_last_changes_fastest(self) -> None:
         found = names({"cross": [CROSS]})
         assert len(found) == 8
-        assert found[:3] == [
-            "panda-mug-contact_rand-s0",
-            "panda-mug-contact_rand-s1",
-            "panda-mug-me_scs-s0",
-        ]
+        assert found[:3] == ["panda-mug-contact_rand-s0", "panda-mug-contact_rand-s1", "panda-mug-me_scs-s0"]
 
     def test_defaults_are_of_every_run_and_crossings_overrule_them(self) -> None:
         source = {
@@ -217,7 +213,7 @@ WATER = MassRule(density=1000.0)
 
 @pytest.fixture
 def parts(tmp_path: Path) -> Path:
-    """A folder with two meshes in millimetres, and files that are none."""
+    """A folder with two meshes in millimetres, and other files."""
     folder = tmp_path / "my parts"
     folder.mkdir()
     for name in ("lever arm.stl", "Bügel.ply"):

@@ -1,4 +1,4 @@
-"""Which budgets a run that has begun may be given."""
+"""Budgets that a run may be given after its beginning, and folders of campaigns."""
 
 import re
 import sqlite3

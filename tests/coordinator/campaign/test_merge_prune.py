@@ -92,11 +92,7 @@ def test_what_needs_every_row_is_refused_with_the_digest_that_the_run_had(runs) 
     run, *_ = runs
     before = digest_of(run)
     prune_run(run)
-    acts = (
-        lambda: digest_of(run),
-        lambda: prune_run(run),
-        lambda: JournalWriter.open(run.path),
-    )
+    acts = (lambda: digest_of(run), lambda: prune_run(run), lambda: JournalWriter.open(run.path))
     for act in acts:
         with pytest.raises(FolderError, match=f"keeps the successes alone of .*whose digest was {before};"):
             act()
@@ -293,12 +289,12 @@ def test_grasps_of_runs_with_different_priors_are_not_ranked_together(tmp_path, 
         read_run_grasps(RunFolder(tmp_path / "all"))
 
 
-@pytest.mark.parametrize("moment", ["summary", "rows_of"])
+@pytest.mark.parametrize("moment", ["run_summary", "source_rows"])
 def test_a_run_that_grows_while_it_is_merged_is_refused(tmp_path, scene, runs, monkeypatch, moment) -> None:
     rows = random_rows(60, seed=7)
     rows["outcome"] = Outcome.HELD
     growing = record(tmp_path / "growing", scene, rows[:40], evaluations=N, seed=7)
-    module = {"summary": "reduction", "rows_of": "merging"}[moment]
+    module = {"run_summary": "reduced_journal", "source_rows": "merge_prune"}[moment]
     read = getattr(importlib.import_module(f"qdgrasp_coordinator.campaign.{module}"), moment)
 
     def grown(folder: RunFolder, *rest: int) -> object:

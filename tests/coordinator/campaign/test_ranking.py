@@ -1,4 +1,4 @@
-"""Which grasps are scored again, and how they rank then."""
+"""Choice of the grasps that are scored again, and their ranks."""
 
 import csv
 from collections.abc import Callable

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.coordinator.export import foreign_files
-from tests.coordinator.export.evaluated_runs import evaluated
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import SceneMaker
 
+from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Jaw, Scene
 from qdgrasp_coordinator.export import importer
 from qdgrasp_coordinator.export.importer import ImportedPoses, ObjectFrame, hand_named
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.evaluator import Evaluator
 
 COM = (0.01, -0.02, 0.03)
 """Of the object made by hand, in the frame of its mesh [m]."""
@@ -67,8 +69,27 @@ def run(make_run: MakeRun) -> RunFolder:
     return make_run(*sorted([*Outcome, *Outcome]))
 
 
+def evaluated(path: Path, gripper: str, object_: str, n: int, prior: str = "contact") -> RunFolder:
+    """A run of n random genomes of a prior."""
+    scene = build_scene(RunSpec(gripper=gripper, object=object_))
+    with Evaluator(scene) as evaluator:
+        genes = evaluator.shape(prior).genes
+        genomes = np.random.default_rng(0).uniform(-1, 1, (n, genes)).astype(np.float32)
+        rows = evaluator.evaluate(prior, genomes, np.zeros(n, np.uint16)).rows
+    rows["index"] = np.arange(n)
+    return record(
+        path, scene, rows, gripper=gripper, object=object_, mass=None, method=f"{prior}_rand", population=n
+    )
+
+
+def evaluate_given(scene: Scene, genomes: np.ndarray) -> Rows:
+    """Rows of poses, evaluated as `qdgrasp evaluate` has them evaluated."""
+    with Evaluator(scene) as evaluator:
+        return evaluator.evaluate("given", genomes, np.zeros(len(genomes), np.uint16)).rows
+
+
 HANDS = {"panda": "antipodal", "allegro": "contact", "barrett": "contact"}
-"""A two-finger hand, one with synergies, and one with free joints; with a prior that finds grasps."""
+"""Hands with a jaw, with synergies, and with free joints; with a prior that finds grasps."""
 
 
 @pytest.fixture(scope="session", params=HANDS)

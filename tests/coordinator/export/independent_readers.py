@@ -1,8 +1,4 @@
-"""Readers of files of grasps, written from public descriptions and sharing nothing with the writers.
-
-Each gives what a user of the format gets: poses as homogeneous matrices (n, 4, 4) in the object's frame, and
-a quality or a bit for each.
-"""
+"""Readers of files of grasps from public descriptions, sharing nothing with the writers."""
 
 import csv
 import json
@@ -23,7 +19,7 @@ class Read(NamedTuple):
 
 
 def isaac(path: Path) -> Read:
-    """Isaac Sim, "Grasp Editor": position and orientation {w, xyz} of the gripper in the object's frame."""
+    """Isaac Sim, "Grasp Editor": position and orientation {w, xyz}, object's frame."""
     told = yaml.safe_load(path.read_text())
     assert told["format"] == "isaac_grasp"
     assert told["format_version"] == 1.0
@@ -188,6 +184,6 @@ JOINTS = {
     "moveit": moveit_joints,
     "csv": table_joints,
 }
-"""Joints by name at the grasp and before it, (n, k) each, of what a reader has found beside the poses."""
+"""Joints by name at the grasp and before it, (n, k) each, of a reader's other findings."""
 TURNED = {"acronym", "graspgen"}
 """Formats whose hand axes are +z towards the object and x across the jaw."""

@@ -1,4 +1,4 @@
-"""HDF5 that tells no grasps, and how it is refused before it is read."""
+"""HDF5 files without usable grasps are refused, and the poses of our own fit the marker."""
 
 from pathlib import Path
 
@@ -121,15 +121,11 @@ def test_hdf5_that_is_no_acronym_file_is_refused(panda, tmp_path: Path) -> None:
 
 
 MARKER = np.array([(x, 0.0, z) for x in (0.041, -0.041) for z in (0.066, 0.0875, 0.109)])
-"""Points on the two fingers of ACRONYM's gripper marker [m]: at x = +-0.041, z from 0.066 to 0.112."""
+"""Points on the fingers of ACRONYM's gripper marker [m]: x = +-0.041, z 0.066 to 0.112."""
 THICKNESS = 2e-3
 """Of the marker's tubes, and how far its fingers may be beside those of the hand [m]."""
 OPENED = 0.04
-TURNS = {
-    "from above": (180, 0, 0),
-    "from the side": (0, -90, 0),
-    "aslant": (35, -140, 70),
-}
+TURNS = {"from above": (180, 0, 0), "from the side": (0, -90, 0), "aslant": (35, -140, 70)}
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +135,7 @@ def scene() -> Scene:
 
 @pytest.fixture(params=TURNS)
 def grasp(request: pytest.FixtureRequest, scene: Scene, tmp_path: Path) -> np.ndarray:
-    """A known grasp: the cube's centre is 9 cm in front of the hand. Its pose (7,), in a run's only row."""
+    """Pose (7,) in a run's only row; the cube's centre is 9 cm in front of the hand."""
     turn = Rotation.from_euler("xyz", TURNS[request.param], degrees=True)
     rows = RowShape(len(layout(scene, "contact")), 2).empty(1)
     rows["outcome"], rows["fitness"], rows["joints"] = Outcome.HELD, 2.0, 0.028
@@ -152,13 +148,13 @@ def grasp(request: pytest.FixtureRequest, scene: Scene, tmp_path: Path) -> np.nd
 
 
 def placed(path: Path, points: np.ndarray) -> np.ndarray:
-    """Points of the marker in the frame of the mesh, as whoever reads the file places them."""
+    """Points of the marker in the frame of the mesh, as a reader of the file places them."""
     (transform,) = READERS["acronym"](path).matrices
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
 def is_inside(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Which points (n, 3) are in the convex hull of others, or nearly."""
+    """Flag points (n, 3) that are in the convex hull of others, or nearly."""
     planes = ConvexHull(vertices).equations
     return (points @ planes[:, :3].T + planes[:, 3] <= THICKNESS).all(axis=1)
 
@@ -168,7 +164,8 @@ def test_the_markers_fingers_are_in_the_fingers_of_the_open_hand(
 ) -> None:
     marker = placed(tmp_path / "cube.h5", MARKER) - np.array(scene.object.com_in_mesh)
     links = {
-        shape.link: points for shape, points in hand_geometry(scene.gripper).posed(grasp, np.full(2, OPENED))
+        shape.link: points
+        for shape, points in hand_geometry(scene.gripper).place_meshes(grasp, np.full(2, OPENED))
     }
     left, right = links["panda_leftfinger"], links["panda_rightfinger"]
     in_fingers = np.array([is_inside(marker, left), is_inside(marker, right)])
@@ -191,7 +188,8 @@ def test_a_marker_that_is_not_turned_is_beside_the_fingers(
     turned = MARKER[:, [1, 0, 2]]
     marker = placed(tmp_path / "cube.h5", turned) - np.array(scene.object.com_in_mesh)
     links = {
-        shape.link: points for shape, points in hand_geometry(scene.gripper).posed(grasp, np.full(2, OPENED))
+        shape.link: points
+        for shape, points in hand_geometry(scene.gripper).place_meshes(grasp, np.full(2, OPENED))
     }
     assert not is_inside(marker, links["panda_leftfinger"]).any()
     assert not is_inside(marker, links["panda_rightfinger"]).any()

@@ -89,7 +89,7 @@ def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setitem(
-        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.negatives)
+        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.default_failures)
     )
     with pytest.raises(InputError, match="no space left on device"):
         export_run(run, tmp_path / "out", name)
@@ -98,7 +98,7 @@ def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(
     export_run(run, tmp_path / "out", name)
     before = READERS[name](tmp_path / "out").matrices
     monkeypatch.setitem(
-        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.negatives)
+        exporter.FORMATS, name, exporter.ExportFormat(name, half, form.suffix, form.default_failures)
     )
     with pytest.raises(InputError):
         export_run(run, tmp_path / "out", name, min_fitness=2, force=True)
@@ -218,10 +218,7 @@ def test_of_merged_runs_each_genome_is_read_with_its_own_prior(
     rows = random_rows(scene, [Outcome.SHAKEN] * 16, seed=1, prior="antipodal")
     antipodal = record(tmp_path / "antipodal", scene, rows, method="antipodal_rand", **FINISHED)
     merge_runs([contact, antipodal], tmp_path / "all")
-    merged, parts = (
-        read_run(RunFolder.open(tmp_path / "all")),
-        [read_run(antipodal), read_run(contact)],
-    )
+    merged, parts = (read_run(RunFolder.open(tmp_path / "all")), [read_run(antipodal), read_run(contact)])
     assert [source.run for source in merged.sources] == ["antipodal", "contact"]
     assert merged.starts.tobytes() == b"".join(part.starts.tobytes() for part in parts)
     export_run(RunFolder.open(tmp_path / "all"), tmp_path / "out", "parquet")

@@ -1,4 +1,4 @@
-"""Every format: what independent readers find in its files, and what the files say of themselves."""
+"""Every format, by independent readers; and the metadata in its files."""
 
 import dataclasses
 import hashlib
@@ -35,7 +35,7 @@ each_format = pytest.mark.parametrize("name", FORMATS)
 
 @pytest.fixture
 def grasps(run: RunFolder) -> Grasps:
-    """What is to be written: the successes that survived a shake."""
+    """The successes that survived a shake."""
     found = read_run(run)
     return found[found.is_grasp]
 
@@ -72,7 +72,7 @@ def test_another_reader_finds_which_grasps_are_better(
 
 
 def words_of(path: Path, name: str) -> dict[str, object]:
-    """What a file says of itself, as a user would get at it."""
+    """The metadata of a file, as a user would read it."""
     match name:
         case "isaac" | "moveit":
             return yaml.safe_load(path.read_text())["qdgrasp"]
@@ -258,7 +258,7 @@ def test_graspgen_has_failures_and_the_mesh_that_its_poses_are_told_of(
 def test_what_graspgen_reads_with_the_offset_of_the_file_approaches_along_z_and_opens_along_x(
     run: RunFolder, scene: Scene, grasps: Grasps, tmp_path: Path
 ) -> None:
-    """It multiplies each transform that it reads by the offset that its gripper is described with."""
+    """GraspGen multiplies each transform by the offset that its gripper is described with."""
     export_run(run, tmp_path / "out", "graspgen", negatives=0)
     read = READERS["graspgen"](tmp_path / "out")
     position, turn = read.beside["qdgrasp"]["transform_offset_from_asset_to_graspgen_convention"]

@@ -1,11 +1,11 @@
-"""What is exported and imported evaluates as it did."""
+"""Exported and imported grasps evaluate as they did."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.coordinator.export.evaluated_runs import evaluate_given
+from tests.coordinator.export.conftest import evaluate_given
 
 from qdgrasp_coordinator.export.exporter import export_run
 from qdgrasp_coordinator.export.grasp_set import read_run
@@ -17,7 +17,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows
 
 LARGEST = 1e-6
-"""How far a pose may be off [m, rad]."""
+"""Greatest error of a pose [m, rad]."""
 COMPARED = [column.name for column in RESULT if column.name not in ("proposals", "surface_point", "nu")]
 """All that is found about a pose; how it was aimed, poses that are given do not tell."""
 
@@ -40,7 +40,7 @@ def successes(run: RunFolder) -> Rows:
 
 
 def errors(genomes: np.ndarray, rows: Rows) -> tuple[float, float]:
-    """How far poses are off at most [m, rad]."""
+    """Greatest errors of poses [m, rad]."""
     positions = np.abs(genomes[:, :3] - rows["base_to_object"][:, :3])
     turns = Rotation.from_quat(genomes[:, 3:7]).inv() * Rotation.from_quat(rows["base_to_object"][:, 3:])
     return float(positions.max()), float(turns.magnitude().max())

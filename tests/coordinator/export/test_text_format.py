@@ -94,7 +94,7 @@ def test_yaml_that_tells_no_grasps_is_refused_in_a_sentence(
 def test_yaml_in_the_pure_parser_is_refused_alike(
     panda, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where PyYAML was built without libyaml."""
+    """PyYAML may be built without libyaml."""
     monkeypatch.delattr(yaml, "CSafeLoader")
     (tmp_path / "f.yaml").write_text(ISAAC)
     check_pose(panda(tmp_path / "f.yaml"))

@@ -34,7 +34,7 @@ def rows(genomes: np.ndarray, *outcomes: Outcome) -> Rows:
 def look(search: RegimeSearch, *outcomes: Outcome) -> int:
     """Look for grasps until it is enough; in how many generations."""
     generation = 0
-    while not search.has_looked:
+    while not search.has_parents:
         search.tell(generation, rows(search.ask(generation), *outcomes))
         generation += 1
     return generation
@@ -50,7 +50,7 @@ def test_the_first_grasps_are_the_parents_and_successes_that_dropped_the_object_
     search = RegimeSearch(LAYOUT)
     first = search.ask(0)
     search.tell(0, rows(first, Outcome.DROPPED, Outcome.SHAKEN, Outcome.MISSED, Outcome.HELD))
-    assert search.has_looked
+    assert search.has_parents
     np.testing.assert_array_equal(search.parents, first[1::2][:PARENTS])
 
 
@@ -71,7 +71,7 @@ def test_a_scene_without_grasps_is_given_up() -> None:
 def test_near_grasps_each_gene_is_moved_a_little() -> None:
     search = RegimeSearch(LAYOUT)
     look(search, Outcome.HELD)
-    search.turn(PoseRegime.NEAR, 500)
+    search.start_regime(PoseRegime.NEAR, 500)
     genomes = search.ask(7)
     away = np.linalg.norm(genomes[:, None] - search.parents, axis=2).min(axis=1)
     assert genomes.shape == (500, len(LAYOUT))
@@ -83,26 +83,26 @@ def test_near_grasps_each_gene_is_moved_a_little() -> None:
 def test_a_turn_begins_with_the_next_generation(generation: int) -> None:
     search = RegimeSearch(LAYOUT)
     search.ask(generation)
-    search.turn(PoseRegime.ANYWHERE, 12)
+    search.start_regime(PoseRegime.ANYWHERE, 12)
     assert search.since == generation + 1
     assert LAYOUT.values(search.ask(generation + 1))[:, 1].max() > np.pi / 4
 
 
 def stopwatch(*ticks: ReturnedBatch) -> ThroughputMeter:
     noted = ThroughputMeter()
-    noted._ticks.extend(ticks)
+    noted._batches.extend(ticks)
     return noted
 
 
 def regular(
     wid: str, every: float, rows: int, start: float = 0.0, generation: int = 5
 ) -> list[ReturnedBatch]:
-    """A worker that gives `rows` rows `every` so many seconds, for which it needs half of the time."""
+    """A worker that gives `rows` rows `every` so many seconds, and needs half of the time."""
     return [ReturnedBatch(start + every * i, wid, generation, rows, every / 2, 1, 2) for i in range(1, 9)]
 
 
 def test_a_lap_counts_no_part_of_a_batch() -> None:
-    lap = stopwatch(*regular("a", 1.0, 10)).lap(5, 2.5)
+    lap = stopwatch(*regular("a", 1.0, 10)).throughput(5, 2.5)
     assert (lap.workers, lap.rows) == (1, 60)
     assert lap.per_second == pytest.approx(10.0)
     assert lap.cpu_seconds == pytest.approx(3.0)
@@ -111,28 +111,28 @@ def test_a_lap_counts_no_part_of_a_batch() -> None:
 
 def test_workers_add_up_whenever_their_batches_come() -> None:
     noted = stopwatch(*regular("a", 1.0, 10), *regular("b", 0.7, 14, start=0.3))
-    assert noted.lap(5, 2.2).per_second == pytest.approx(10.0 + 20.0)
+    assert noted.throughput(5, 2.2).per_second == pytest.approx(10.0 + 20.0)
 
 
 def test_a_worker_that_went_is_left_out_and_one_that_came_counts_from_its_first_result() -> None:
     went, came = ReturnedBatch(1.0, "b", 5, 99, 1.0, 0, 0), ReturnedBatch(6.0, "c", 5, 99, 1.0, 0, 0)
     noted = stopwatch(*regular("a", 1.0, 10), went, came)
-    assert noted.lap(5, 2.5) == stopwatch(*regular("a", 1.0, 10)).lap(5, 2.5)
+    assert noted.throughput(5, 2.5) == stopwatch(*regular("a", 1.0, 10)).throughput(5, 2.5)
     later = stopwatch(*regular("a", 1.0, 10), *regular("c", 0.5, 10, start=4.0))
-    assert later.lap(5, 2.5).per_second == pytest.approx(10.0 + 20.0)
-    assert stopwatch(went).lap(5, 0.0).workers == 0
+    assert later.throughput(5, 2.5).per_second == pytest.approx(10.0 + 20.0)
+    assert stopwatch(went).throughput(5, 0.0).workers == 0
 
 
 def test_results_of_earlier_generations_are_of_another_turn() -> None:
     noted = stopwatch(*regular("a", 1.0, 10, generation=4), *regular("a", 1.0, 7, start=8.0))
     assert (noted.workers(5), noted.workers(6)) == (1, 0)
     assert noted.rows(5) == 8 * 7
-    assert noted.lap(5, 0.0).rows == 7 * 7
+    assert noted.throughput(5, 0.0).rows == 7 * 7
 
 
 def test_what_is_no_result_is_passed_over() -> None:
     noted = ThroughputMeter()
-    noted.take(Sample("key", b"nonsense", "application/json"))
+    noted.add(Sample("key", b"nonsense", "application/json"))
     assert not noted.has_begun
 
 

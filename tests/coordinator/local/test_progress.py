@@ -1,4 +1,4 @@
-"""What is seen of a job's progress, on a terminal and elsewhere."""
+"""Progress of a job on a terminal and elsewhere."""
 
 import io
 import threading
@@ -117,7 +117,7 @@ def test_the_latest_sentence_is_said_again_and_again_until_the_end() -> None:
         tell("writing")
         while not said.get(timeout=PATIENCE).startswith("writing, "):
             pass
-    assert "telling" not in {thread.name for thread in threading.enumerate()}
+    assert "repeat-latest" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_what_is_done_soon_says_nothing_where_nobody_sees_it_move(capsys: pytest.CaptureFixture[str]) -> None:

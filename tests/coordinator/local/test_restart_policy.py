@@ -1,4 +1,4 @@
-"""What a death among a job's processes means."""
+"""Restarts after deaths among a job's processes."""
 
 from pathlib import Path
 from typing import Any
@@ -32,14 +32,14 @@ class Staff:
         self.watch = RestartPolicy(self, self, lambda: self.hired.append(self.now))  # type: ignore[arg-type]
 
     def dies(self, name: str, code: int, words: str = "") -> None:
-        """A member dies, and whoever is due is started again."""
+        """A process dies, and those that are due are started again."""
         self.dead, self.words[name] = [ProcessExit(name, code)], words
-        self.watch.look(self.now)
+        self.watch.check(self.now)
         self.dead = []
 
     def waits(self, seconds: float) -> None:
         self.now += seconds
-        self.watch.look(self.now)
+        self.watch.check(self.now)
 
     def exits(self) -> list[ProcessExit]:
         return self.dead
@@ -108,7 +108,7 @@ def test_who_is_killed_from_outside_is_started_again_more_often() -> None:
 def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
     staff = Staff()
     for n in range(10 * MOST_TRIES):
-        staff.watch.progressed(figures(evaluations=n, rate=1.0))
+        staff.watch.note_progress(figures(evaluations=n, rate=1.0))
         staff.dies("coordinator", -9)
         staff.waits(20)
     assert len(staff.hired) == 10 * MOST_TRIES
@@ -116,9 +116,9 @@ def test_who_dies_while_the_job_goes_on_is_always_started_again() -> None:
 
 def test_replaying_what_was_found_before_is_no_progress() -> None:
     staff = Staff()
-    staff.watch.progressed(figures(evaluations=100))
+    staff.watch.note_progress(figures(evaluations=100))
     for n in range(MOST_TRIES):
-        staff.watch.progressed(figures(evaluations=n))
+        staff.watch.note_progress(figures(evaluations=n))
         staff.dies("coordinator", -11)
         staff.waits(20)
     with pytest.raises(EndedEarly):
@@ -141,7 +141,7 @@ def test_a_member_that_names_bad_input_ends_the_job_unless_the_coordinator_is_aw
 
 
 class StartedProcesses(ProcessGroup):
-    """A crew that notes with what its members are started, and starts nobody."""
+    """A group that notes the arguments of its processes, and starts no process."""
 
     def start(self, name: str, module: str, arguments: Any, core: int | None = None) -> None:
         self.command = ["qdgrasp-worker", *arguments]

@@ -1,4 +1,4 @@
-"""How the processes of a job on one machine are started, and started again."""
+"""Start and restart of the processes of a job on one machine."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -12,7 +12,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.process import ProcessExit, Stop
 
 CHOSEN = "tcp/127.0.0.1:50123"
-"""Where a coordinator listens that was not told where."""
+"""Endpoint of a coordinator that was not given one."""
 
 
 class Staff:
@@ -88,8 +88,8 @@ def test_a_coordinator_that_is_started_again_listens_where_the_first_did(
     staff = Staff(folder)
     monkeypatch.setattr(supervisor, "ProcessGroup", staff)
     monkeypatch.setattr(restart_policy, "back_off", lambda _: 0.0)
-    monkeypatch.setattr(Supervisor, "_listen", lambda *_: nullcontext())
-    Supervisor(folder, LocalJobConfig(1, door=ListenConfig(listen)), Silence(), Stop()).run()
+    monkeypatch.setattr(Supervisor, "_subscribe", lambda *_: nullcontext())
+    Supervisor(folder, LocalJobConfig(1, listen=ListenConfig(listen)), Silence(), Stop()).run()
     assert [after("--listen", one) for one in staff.coordinators] == [listen, again]
     assert [after("--connect", one) for one in staff.others] == [near, near]
     assert [after("--grace", one) for one in staff.others] == [None, "0.25"]  # a recorder, a worker

@@ -19,7 +19,7 @@ def label(words: str, *spots: tuple[float, float], side: Anchor = "l", is_needed
 def placed(
     *labels: Label, lines: tuple[PixelBox, ...] = (), dots: tuple[PixelBox, ...] = ()
 ) -> dict[str, LabelSpot]:
-    """Where labels stand of which each letter is as long as high."""
+    """Spots of labels of which each letter is as long as high."""
     found = arrange_labels(labels, lines, dots, WIDTH, lambda label: 10.0 * len(label.words))
     return {label.words: spot for label, spot in found}
 

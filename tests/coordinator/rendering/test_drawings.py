@@ -74,8 +74,8 @@ def test_many_cells_are_cut_open_toward_the_viewer(make_scene) -> None:
 
     scene: Scene = make_scene()
     assert len(shell(3)) < CUT_OPEN_CELLS < len(shell(1))
-    assert view_of_cells(scene, shell(3), 0.0, SMALL).whole
-    assert not view_of_cells(scene, shell(1), 0.0, SMALL).whole
+    assert view_of_cells(scene, shell(3), 0.0, SMALL).is_uncut
+    assert not view_of_cells(scene, shell(1), 0.0, SMALL).is_uncut
 
 
 def test_a_cell_shows_its_fittest_success() -> None:

@@ -12,7 +12,7 @@ AT_HOME = np.array([0, 0, 0, 0, 0, 0, 1.0])
 
 
 def bounds(scene: Scene, pose: np.ndarray, joints: list[float]) -> dict[str, np.ndarray]:
-    posed = hand_geometry(scene.gripper).posed(pose, np.array(joints))
+    posed = hand_geometry(scene.gripper).place_meshes(pose, np.array(joints))
     return {shape.link: np.stack([points.min(axis=0), points.max(axis=0)]) for shape, points in posed}
 
 
@@ -36,8 +36,13 @@ def test_only_finger_links_are_fingers(make_scene) -> None:
 def test_the_hand_goes_where_its_base_is(make_scene) -> None:
     turned = Rotation.from_rotvec([0.3, -0.5, 1.1])
     pose = np.concatenate([[0.1, -0.2, 0.3], turned.as_quat()])
-    home = {s.link: p for s, p in hand_geometry(make_scene().gripper).posed(AT_HOME, np.array([0.02, 0.02]))}
-    away = {s.link: p for s, p in hand_geometry(make_scene().gripper).posed(pose, np.array([0.02, 0.02]))}
+    home = {
+        s.link: p
+        for s, p in hand_geometry(make_scene().gripper).place_meshes(AT_HOME, np.array([0.02, 0.02]))
+    }
+    away = {
+        s.link: p for s, p in hand_geometry(make_scene().gripper).place_meshes(pose, np.array([0.02, 0.02]))
+    }
     for link, points in home.items():
         assert np.allclose(turned.apply(points) + pose[:3], away[link])
 
@@ -50,7 +55,7 @@ def test_the_carrier_of_a_reference_hand_is_not_drawn(
 
     monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
     drawn = hand_geometry(find_gripper("ref_panda_2f").on_carrier(protocol))
-    points = np.concatenate([points for _, points in drawn.posed(AT_HOME, np.array([0.04, 0.04]))])
+    points = np.concatenate([points for _, points in drawn.place_meshes(AT_HOME, np.array([0.04, 0.04]))])
     assert {shape.link for shape in drawn.shapes} == {"panda_hand", "panda_leftfinger", "panda_rightfinger"}
     assert np.allclose(points.max(axis=0)[2], 0.1124, atol=2e-3)
 
@@ -90,7 +95,7 @@ def test_a_hand_must_be_clear_both_open_and_at_the_grasp(make_scene) -> None:
     rows["joints"] = random.uniform(0, 0.08, (300, 2))
     drawn, poses = hand_geometry(scene.gripper), rows["base_to_object"].astype(float)
     is_clear = {
-        name: drawn.lowest(poses, joints.astype(float), np.array([0, 0, 1.0])) >= -0.03
+        name: drawn.lowest_points(poses, joints.astype(float), np.array([0, 0, 1.0])) >= -0.03
         for name, joints in (("open", np.full((300, 2), 0.04)), ("grasp", rows["joints"]))
     }
     assert (is_clear["open"] & ~is_clear["grasp"]).any()
@@ -124,10 +129,10 @@ def test_many_hands_reach_as_low_as_each_alone(make_scene) -> None:
     joints, up = random.uniform(0, 0.04, (9, 2)), np.array([0.0, 0.6, 0.8])
     drawn = hand_geometry(make_scene().gripper)
     alone = [
-        min(float((points @ up).min()) for _, points in drawn.posed(pose, joint))
+        min(float((points @ up).min()) for _, points in drawn.place_meshes(pose, joint))
         for pose, joint in zip(poses, joints, strict=True)
     ]
-    assert np.allclose(drawn.lowest(poses, joints, up), alone, atol=1e-12)
+    assert np.allclose(drawn.lowest_points(poses, joints, up), alone, atol=1e-12)
 
 
 @pytest.mark.parametrize("words", ["", "1,2", "0,0,0,0", "a,b,c", "1,2,3,4,5", "nan,0,0"])

@@ -32,7 +32,7 @@ def box(side: float = 0.06) -> Mesh:
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (-0.9, 0.4), (2.5, -1.2)])
 def test_a_ball_is_seen_where_and_as_far_as_it_is(azimuth: float, elevation: float) -> None:
     view = fit_camera(ball().vertices, azimuth, elevation, 200, 200)
-    hits = RayMesh(ball()).seen_by(view)
+    hits = RayMesh(ball()).cast_from(view)
     assert np.allclose(np.linalg.norm(hits.points, axis=1), 0.05, atol=3e-4)
     assert (hits.points @ view.axes[2] > -1e-3).all()
     assert np.allclose(FAR - hits.depth, hits.points @ view.axes[2], atol=1e-5)
@@ -40,7 +40,7 @@ def test_a_ball_is_seen_where_and_as_far_as_it_is(azimuth: float, elevation: flo
 
 
 def test_a_ball_is_smooth_and_a_box_keeps_its_edges() -> None:
-    hits = RayMesh(ball()).seen_by(fit_camera(ball().vertices, 0.3, 0.2, 200, 200))
+    hits = RayMesh(ball()).cast_from(fit_camera(ball().vertices, 0.3, 0.2, 200, 200))
     assert np.allclose(hits.normals, hits.points / 0.05, atol=0.02)
     faces = box()
     assert np.allclose(corner_normals(faces), faces.normals[:, None], atol=1e-6)
@@ -48,14 +48,14 @@ def test_a_ball_is_smooth_and_a_box_keeps_its_edges() -> None:
 
 def test_what_stands_behind_is_not_seen() -> None:
     both = join([box(0.06), box(0.02).moved((-0.06, 0.0, 0.0))])
-    hits = RayMesh(both).seen_by(fit_camera(both.vertices, 0.0, 0.0, 100, 100))
+    hits = RayMesh(both).cast_from(fit_camera(both.vertices, 0.0, 0.0, 100, 100))
     assert hits.faces.max() < 12
 
 
 def test_a_point_of_the_image_looks_where_the_camera_projects() -> None:
     view = fit_camera(ball().vertices, 0.7, 0.3, 120, 160)
     pixels = np.array([0, 159, 160 * 60 + 80, 160 * 120 - 1])
-    seen = view.seen(view.origins(pixels))
+    seen = view.project(view.origins(pixels))
     row, column = np.divmod(pixels, 160)
     assert np.allclose((seen[:, 0] - view.low[0]) / view.step, column + 0.5, atol=1e-3)
     assert np.allclose((seen[:, 1] - view.low[1]) / view.step, 120 - row - 0.5, atol=1e-3)
@@ -67,15 +67,15 @@ def test_a_window_holds_every_point_that_sees_the_mesh() -> None:
     everywhere = np.arange(150 * 150)
     rays = np.broadcast_to(-view.axes[2], (len(everywhere), 3)).copy()
     found = RayMesh(small).rays.run(view.origins(everywhere), rays)
-    assert set(np.flatnonzero(found >= 0)) == set(RayMesh(small).seen_by(view).pixels)
+    assert set(np.flatnonzero(found >= 0)) == set(RayMesh(small).cast_from(view).pixels)
 
 
 def test_a_lid_shuts_out_the_light_above_and_no_other() -> None:
     lid = RayMesh(box(0.06).moved((0.0, 0.0, 0.1)))
     below, beside = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], dtype=np.float32)
     up = np.array([0.0, 0.0, 1.0], dtype=np.float32)
-    assert lid.open_toward(np.stack([below, beside]), up).tolist() == [False, True]
-    assert lid.open_toward(below[None], -up).tolist() == [True]
+    assert lid.is_lit_from(np.stack([below, beside]), up).tolist() == [False, True]
+    assert lid.is_lit_from(below[None], -up).tolist() == [True]
 
 
 def plate(height: float) -> Mesh:
@@ -128,7 +128,7 @@ def half() -> np.ndarray:
 
 
 def test_an_empty_image_is_white() -> None:
-    assert LayeredImage(FLAT_VIEW).finished().tolist() == [[[1.0, 1.0, 1.0]]]
+    assert LayeredImage(FLAT_VIEW).composed().tolist() == [[[1.0, 1.0, 1.0]]]
 
 
 def test_the_nearer_of_two_solids_is_seen_whatever_the_order() -> None:
@@ -136,19 +136,19 @@ def test_the_nearer_of_two_solids_is_seen_whatever_the_order() -> None:
         image = LayeredImage(FLAT_VIEW)
         for depth in order:
             image.add_solid(everywhere(depth), spread(RED if depth == 1.0 else BLUE))
-        assert image.finished()[0, 0].tolist() == [1.0, 0.0, 0.0]
+        assert image.composed()[0, 0].tolist() == [1.0, 0.0, 0.0]
 
 
 def test_veils_lie_over_one_another_from_back_to_front_whatever_the_order() -> None:
     for order in ((1.0, 2.0), (2.0, 1.0)):
         image = LayeredImage(FLAT_VIEW)
         for depth in order:
-            image.add_veil(everywhere(depth), spread(RED if depth == 1.0 else BLUE), half())
-        assert image.finished()[0, 0].tolist() == [0.75, 0.25, 0.5]
+            image.add_translucent(everywhere(depth), spread(RED if depth == 1.0 else BLUE), half())
+        assert image.composed()[0, 0].tolist() == [0.75, 0.25, 0.5]
 
 
 def test_a_veil_behind_a_solid_is_hidden() -> None:
     image = LayeredImage(FLAT_VIEW)
-    image.add_veil(everywhere(3.0), spread(BLUE), half())
+    image.add_translucent(everywhere(3.0), spread(BLUE), half())
     image.add_solid(everywhere(2.0), spread(RED))
-    assert image.finished()[0, 0].tolist() == [1.0, 0.0, 0.0]
+    assert image.composed()[0, 0].tolist() == [1.0, 0.0, 0.0]

@@ -22,7 +22,7 @@ def climb(*totals: int, every: int = 10) -> StepSeries:
 def made(
     method: str, cells: StepSeries, seed: int = 0, evaluations: int = 100, **differing: Any
 ) -> RunHistory:
-    """What a run found that is known for its cells alone; its scene has no reference set."""
+    """A history that is known for its cells alone; its scene has no reference set."""
     settings = {key: differing.pop(key) for key in list(differing) if key in RunSpec.__struct_fields__}
     values = {"gripper": "jaw", "object": "block"} | settings
     spec = RunSpec(**values, method=method, seed=seed, evaluations=100)

@@ -173,7 +173,7 @@ def test_one_number_against_a_claim_outweighs_those_for_it() -> None:
             [*runs("contact_me_scs", 50, 52), *runs("contact_rand", 1, 2), *runs("approach_rand", 90, 95)]
         )
     )
-    assert (a.verdict, len(a.findings), a.absent) == (ClaimAgreement.DOES_NOT, 2, 4)
+    assert (a.verdict, len(a.evidence), a.absent_count) == (ClaimAgreement.DOES_NOT, 2, 4)
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def run(tmp_path: Path, make_scene: SceneMaker) -> Runs:
 A, B, C = (1, 2, 3), (-4, 0, 9), (-4, 0, -9)
 
 
-def entries(path: Path, name: str = "block") -> Found:
+def groups(path: Path, name: str = "block") -> Found:
     known = read_reference(path, name)
     return {tuple(cell): fitness for cell, fitness in zip(known.cells.tolist(), known.fitness, strict=True)}
 
@@ -81,7 +81,7 @@ def entries(path: Path, name: str = "block") -> Found:
 def test_a_set_holds_the_successes_and_nothing_else(run: Runs, tmp_path: Path) -> None:
     out = tmp_path / "set.npz"
     build_reference_sets([run({A: Outcome.DROPPED, B: Outcome.HELD, C: Outcome.BRUSHED})], out)
-    assert entries(out) == {B: 2, A: 0}
+    assert groups(out) == {B: 2, A: 0}
     with np.load(out) as arrays:
         assert (arrays["block.cm"].dtype, arrays["block.fitness"].dtype) == (np.int16, np.uint8)
         assert arrays["block.cm"].tolist() == sorted([list(A), list(B)])
@@ -91,7 +91,7 @@ def test_randomised_trials_are_left_out(run: Runs, tmp_path: Path) -> None:
     rows = rows_of({A: Outcome.HELD, B: Outcome.HELD})
     rows["trial"] = [1, 0]
     build_reference_sets([run(rows)], tmp_path / "set.npz")
-    assert entries(tmp_path / "set.npz") == {B: 2}
+    assert groups(tmp_path / "set.npz") == {B: 2}
 
 
 def test_a_cell_keeps_the_best_fitness_of_all_runs_in_any_order(run: Runs, tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_cell_keeps_the_best_fitness_of_all_runs_in_any_order(run: Runs, tmp_p
     build_reference_sets(runs[::-1], back)
     for folder in (*runs, *runs):
         build_reference_sets([folder], slowly)
-    assert entries(there) == {A: 2, B: 2, C: 0}
+    assert groups(there) == {A: 2, B: 2, C: 0}
     assert there.read_bytes() == back.read_bytes() == slowly.read_bytes()
 
 
@@ -110,8 +110,8 @@ def test_one_file_holds_several_objects_of_a_gripper(run: Runs, tmp_path: Path) 
     build_reference_sets([run({A: Outcome.HELD})], out)
     sets = build_reference_sets([run({B: Outcome.HELD}, object_="ycb_mug", com=0.01)], out)
     assert list(sets) == ["mug"]
-    assert entries(out) == {A: 2}
-    assert entries(out, "mug") == {B: 2}
+    assert groups(out) == {A: 2}
+    assert groups(out, "mug") == {B: 2}
 
 
 def test_no_set_is_made_of_runs_without_a_success(run: Runs, tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_no_set_is_made_of_runs_without_a_success(run: Runs, tmp_path: Path) -> 
             build_reference_sets(folders, tmp_path / "set.npz")
         assert not (tmp_path / "set.npz").exists()
     build_reference_sets([missed, found], tmp_path / "set.npz")
-    assert entries(tmp_path / "set.npz") == {A: 2}
+    assert groups(tmp_path / "set.npz") == {A: 2}
 
 
 def test_runs_that_do_not_belong_together_are_refused_and_the_file_stays(run: Runs, tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_a_set_that_does_not_say_what_it_was_built_from_is_not_added_to(run: Run
 
 def test_the_folder_of_a_set_is_made(run: Runs, tmp_path: Path) -> None:
     build_reference_sets([run({A: Outcome.HELD})], tmp_path / "new" / "set.npz")
-    assert entries(tmp_path / "new" / "set.npz") == {A: 2}
+    assert groups(tmp_path / "new" / "set.npz") == {A: 2}
 
 
 def test_an_object_is_known_by_its_mesh_and_centre_of_mass(make_scene: SceneMaker) -> None:

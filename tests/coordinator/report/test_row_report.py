@@ -69,14 +69,14 @@ def test_a_legend_is_read_once(tmp_path: Path, make_scene) -> None:
     folder, _ = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
     known = RowContextCache()
     with folder.journal() as journal:
-        assert known.of(folder, journal) is known.of(folder, journal)
+        assert known.get(folder, journal) is known.get(folder, journal)
 
 
 def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path, make_scene) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug", closing(make_scene), "me_scs", 1)
     (folder.path / "scene.bundle").unlink()
     with folder.journal() as journal:
-        found = RowContextCache().of(folder, journal).synergies(rows, np.arange(len(rows)))
+        found = RowContextCache().get(folder, journal).synergies(rows, np.arange(len(rows)))
     assert set(found.tolist()) == {-1}
 
 
@@ -97,7 +97,7 @@ def made(tmp_path: Path, make_scene: SceneMaker) -> Made:
 
 
 def run_of(path: Path, scene: Scene, outcomes: list[Outcome], **settings: str) -> Made:
-    """A run that recorded nominal rows with these outcomes; those with a pose stand at (1, 2, 3) cm."""
+    """A run with nominal rows of these outcomes; those with a pose stand at (1, 2, 3) cm."""
     rows = RowShape(len(layout(scene, PRIOR)), 2).empty(len(outcomes))
     rows["index"], rows["outcome"] = np.arange(len(rows)), outcomes
     rows["fitness"] = np.clip(rows["outcome"].astype(int) - Outcome.DROPPED, 0, 2)

@@ -33,7 +33,7 @@ from qdgrasp_protocol.errors import FolderError
 
 def test_runs_that_differ_in_their_seed_alone_are_one_entry() -> None:
     found = group_runs([made("me_scs", climb(1), seed=seed) for seed in (2, 0, 1)])
-    assert [[run.spec.seed for run in entry.runs] for entry in found] == [[0, 1, 2]]
+    assert [[run.spec.seed for run in group.runs] for group in found] == [[0, 1, 2]]
     assert found[0].name == "me_scs"
 
 
@@ -45,13 +45,13 @@ def test_hands_stand_in_the_paper_s_order_and_methods_in_that_of_the_table() -> 
         for method in ("me_scs", "contact_rand")
     ]
     found = group_runs(runs)
-    assert list(dict.fromkeys(entry.scene.gripper for entry in found)) == [
+    assert list(dict.fromkeys(group.scene.gripper for group in found)) == [
         "panda",
         "ref_bh280",
         "shadow",
         "own",
     ]
-    assert [(entry.scene.object, entry.method) for entry in found[:4]] == [
+    assert [(group.scene.object, group.method) for group in found[:4]] == [
         ("bowl", "contact_rand"), ("bowl", "me_scs"), ("mug", "contact_rand"), ("mug", "me_scs"),
     ]  # fmt: skip
 
@@ -62,7 +62,7 @@ def test_settings_that_differ_within_a_method_tell_its_variants_apart() -> None:
     ]
     other = made("cma_mae", climb(1), population=540)
     found = group_runs([*runs, other])
-    assert [(entry.name, len(entry.runs)) for entry in found] == [
+    assert [(group.name, len(group.runs)) for group in found] == [
         ("me_scs mutation sigma 0.05", 2), ("me_scs mutation sigma 0.3", 2), ("cma_mae", 1),
     ]  # fmt: skip
 
@@ -85,16 +85,16 @@ def test_the_usual_variant_counts_as_its_method_does(method: str, counting: str)
 
 def test_protocols_are_scenes_of_their_own() -> None:
     found = group_runs([made("me_scs", climb(1), protocol=name) for name in ("paper", "released")])
-    assert [entry.scene.words for entry in found] == ["jaw on block", "jaw on block (released)"]
+    assert [group.scene.words for group in found] == ["jaw on block", "jaw on block (released)"]
 
 
 def test_an_unfinished_run_settles_nothing_beside_finished_ones() -> None:
     finished, going = made("me_scs", climb(1)), made("me_scs", climb(1), seed=1, evaluations=10)
     waiting = made("me_scs", climb(), seed=2, evaluations=0)
-    (entry,) = group_runs([finished, going, waiting])
-    assert (entry.unfinished, entry.settled) == (2, (finished,))
+    (group,) = group_runs([finished, going, waiting])
+    assert (group.unfinished, group.finished_runs) == (2, (finished,))
     (alone,) = group_runs([going, waiting])
-    assert alone.settled == (going,)
+    assert alone.finished_runs == (going,)
 
 
 @pytest.mark.parametrize("home", ["runs", "."])
@@ -155,17 +155,17 @@ def pool(*runs: RunHistory) -> list[RunGroup]:
 
 
 def test_each_object_counts_alike_however_large_its_set() -> None:
-    (entry,) = pool(covered("mug", 10, 1, 2), covered("bowl", 1000, 200, 600))
-    assert entry.scene.words == "jaw on 2 objects"
-    (run,) = entry.runs
+    (group,) = pool(covered("mug", 10, 1, 2), covered("bowl", 1000, 200, 600))
+    assert group.scene.words == "jaw on 2 objects"
+    (run,) = group.runs
     assert run.coverage([0, 10, 15, 20]).tolist() == pytest.approx([0, 0.15, 0.15, 0.4])
     assert run.published_coverage(20) == pytest.approx(0.4)
-    assert quartile_curve(entry, COVERAGE).median[-1] == pytest.approx(0.4)
+    assert quartile_curve(group, COVERAGE).median[-1] == pytest.approx(0.4)
 
 
 def test_a_pooled_run_is_as_long_as_the_shortest_and_finished_when_all_are() -> None:
-    (entry,) = pool(covered("mug", 10, 1), covered("bowl", 10, 1, evaluations=60))
-    assert (entry.runs[0].evaluations, entry.unfinished) == (60, 1)
+    (group,) = pool(covered("mug", 10, 1), covered("bowl", 10, 1, evaluations=60))
+    assert (group.runs[0].evaluations, group.unfinished) == (60, 1)
 
 
 def test_objects_without_a_set_and_objects_that_a_method_lacks_are_left_out() -> None:
@@ -174,7 +174,7 @@ def test_objects_without_a_set_and_objects_that_a_method_lacks_are_left_out() ->
     ]
     lone = [covered("can", 10, 9, method="me_scs"), made("me_scs", climb(1), object="box")]
     found = pool(*both, *lone, *(made("contact_rand", climb(1), object="box"),))
-    assert [(entry.method, entry.scene.object) for entry in found] == [
+    assert [(group.method, group.scene.object) for group in found] == [
         ("contact_rand", "2 objects"), ("me_scs", "2 objects"),
     ]  # fmt: skip
     assert found[1].runs[0].coverage(100) == pytest.approx(0.1)
@@ -182,21 +182,21 @@ def test_objects_without_a_set_and_objects_that_a_method_lacks_are_left_out() ->
 
 def test_seeds_that_not_every_object_has_are_left_out() -> None:
     runs = [covered("mug", 10, 1, seed=seed) for seed in (0, 1)]
-    (entry,) = pool(*runs, covered("bowl", 10, 1, seed=1), covered("bowl", 10, 1, seed=0, evaluations=0))
-    assert [run.spec.seed for run in entry.runs] == [1]
+    (group,) = pool(*runs, covered("bowl", 10, 1, seed=1), covered("bowl", 10, 1, seed=0, evaluations=0))
+    assert [run.spec.seed for run in group.runs] == [1]
 
 
 def test_one_object_makes_no_mean() -> None:
     assert pool(covered("mug", 10, 1), covered("mug", 10, 2, gripper="claw"), made("me_scs", climb(1))) == []
 
 
-def entry(*runs):
+def group(*runs):
     (one,) = group_runs(runs)
     return one
 
 
 def test_a_curve_is_the_median_over_its_runs() -> None:
-    one = entry(*(made("me_scs", climb(*(k * step for step in range(1, 11))), seed=k) for k in (1, 2, 6)))
+    one = group(*(made("me_scs", climb(*(k * step for step in range(1, 11))), seed=k) for k in (1, 2, 6)))
     found = quartile_curve(one, CELLS)
     place = found.evaluations.tolist().index(50)
     assert (found.low[place], found.median[place], found.high[place]) == (7.5, 10, 20)
@@ -206,16 +206,16 @@ def test_a_curve_is_the_median_over_its_runs() -> None:
 def test_a_shorter_run_counts_as_far_as_it_goes() -> None:
     long = made("me_scs", climb(*range(1, 11)), seed=0)
     short = made("me_scs", climb(30, 60), seed=1, evaluations=25)
-    found = quartile_curve(entry(long, short), CELLS)
+    found = quartile_curve(group(long, short), CELLS)
     at = {e: (n, m) for e, n, m in zip(found.evaluations, found.runs, found.median, strict=True)}
     assert at[25] == (2, (2 + 60) / 2)
     assert at[26] == (1, 2)
-    assert found.evaluations[: found.whole][-1] == 25
+    assert found.evaluations[: found.common_points][-1] == 25
 
 
 def test_a_run_that_has_not_begun_does_not_count() -> None:
     found = quartile_curve(
-        entry(made("me_scs", climb(4)), made("me_scs", climb(), seed=1, evaluations=0)), CELLS
+        group(made("me_scs", climb(4)), made("me_scs", climb(), seed=1, evaluations=0)), CELLS
     )
     assert found.runs[-1] == 1
     assert found.median[-1] == 4
@@ -227,17 +227,17 @@ def test_where_all_runs_are_in_it_a_curve_never_falls(gains: list[list[int]]) ->
         made("me_scs", climb(*np.cumsum(gain).tolist()), seed=seed, evaluations=10 * len(gain))
         for seed, gain in enumerate(gains)
     ]
-    found = quartile_curve(entry(*runs), CELLS, points=20)
+    found = quartile_curve(group(*runs), CELLS, points=20)
     for part in (found.low, found.median, found.high):
-        assert (np.diff(part[: found.whole]) >= 0).all()
+        assert (np.diff(part[: found.common_points]) >= 0).all()
     assert (found.low <= found.median).all()
     assert (np.diff(found.runs) <= 0).all()
 
 
 def test_scenes_compare_by_cells_where_one_entry_lacks_a_set() -> None:
-    lacking = entry(made("me_scs", climb(1)))
+    lacking = group(made("me_scs", climb(1)))
     assert measure_of([lacking]) is CELLS
-    assert np.isnan(COVERAGE.of(lacking.runs[0], [10])).all()
+    assert np.isnan(COVERAGE.values(lacking.runs[0], [10])).all()
 
 
 def test_quartiles_of_nothing_are_not_numbers() -> None:
@@ -267,4 +267,4 @@ def test_a_heading_without_room_says_from_where_to_where() -> None:
 def test_a_scene_without_a_set_says_what_is_measured_and_why() -> None:
     (panel,) = curve_panels(group_runs(RUNS))
     assert measure_words(panel) == "success cells of 1 cm: no S_G"
-    assert (panel.end, panel.top) == (100, 5)
+    assert (panel.end, panel.greatest_value) == (100, 5)

@@ -49,7 +49,7 @@ def test_finds_are_nominal_successes_numbered_by_the_evaluations_that_count() ->
 
 
 def at_once(rows: Rows) -> tuple[object, ...]:
-    """What `coverage` says of rows as a whole."""
+    """The result of `coverage` for all rows at once."""
     found = rows[rows["outcome"] >= Outcome.DROPPED]
     said = coverage(found["base_to_object"][:, :3], found["fitness"], KNOWN, ARCHIVE)
     return said.found, said.robust_found, said.released_found

@@ -1,4 +1,4 @@
-"""What differs is found to the last bit, and told in words."""
+"""Differences are found to the last bit, and put into words."""
 
 import numpy as np
 import pytest
@@ -58,10 +58,7 @@ def test_numbers_are_told_so_that_they_are_told_apart(recorded: Rows) -> None:
     [
         ({}, comparison.PLATFORM_UNKNOWN),
         ({"numpy": "2.4.6"}, comparison.PLATFORM_SAME),
-        (
-            {"numpy": "1.0"},
-            "It was recorded on another platform; here is numpy 2.4.6 instead of 1.0.",
-        ),
+        ({"numpy": "1.0"}, "It was recorded on another platform; here is numpy 2.4.6 instead of 1.0."),
     ],
 )
 def test_platforms_are_compared_in_a_sentence(recorded: dict[str, str], expected: str) -> None:

@@ -42,7 +42,7 @@ POINT, FAR = (0.05, -0.05, 0.0), (-0.05, -0.08, 0.0)
 
 
 def camera() -> ReplayCamera:
-    """Looks down on a square metre around the origin, x to the right and y up: 40 cm from side to side."""
+    """Looks down on the origin, x to the right and y up: 40 cm from side to side."""
     width, height = LAYOUT.scene
     matrix = np.diag([5.0, 5.0 * width / height, 1.0, 1.0])
     return ReplayCamera(
@@ -82,7 +82,7 @@ def drawn(shown: ReplayTarget, *shots: ReplayFrame) -> list[np.ndarray]:
 
 
 def has(image: np.ndarray, colour: str, place: np.ndarray, radius: float = 2.0) -> bool:
-    """Whether a colour is seen near a place."""
+    """True if a colour is near a place."""
     rows, columns = np.nonzero((image == ImageColor.getrgb(colour)).all(axis=-1))
     return bool((np.hypot(columns + 0.5 - place[0], rows + 0.5 - place[1]) <= radius).any())
 

@@ -1,4 +1,4 @@
-"""Which rows are looked at: each kind has its share."""
+"""Choice of rows, each kind with its share, and their comparison."""
 
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from qdgrasp_coordinator.verification.comparison import (
 )
 from qdgrasp_coordinator.verification.verify import (
     MOST_ROWS,
-    ComparisonCounts,
     ReevaluationQueue,
     balanced_sample,
     choose_rows,
@@ -134,7 +133,7 @@ def test_many_rows_are_several_lots(tmp_path: Path, make_scene: SceneMaker) -> N
 
 
 def test_lots_are_the_runs_of_a_job_one_after_the_other(folders: list[RunFolder]) -> None:
-    lots = ReevaluationQueue(choose_rows(folders, 20, 0), ComparisonCounts().compared)
+    lots = ReevaluationQueue(choose_rows(folders, 20, 0))
     assert lots.extent.evaluations == 20
     first = lots.next()
     assert first is not None
@@ -165,11 +164,11 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
 
 def test_what_differs_is_noted_by_row_and_column(folders: list[RunFolder]) -> None:
     (lot,) = choose_rows(folders[:1], 3, 0)
-    found, recorded = ComparisonCounts(), lot.rows()
+    found, recorded = ReevaluationQueue([lot]), lot.rows()
     now = recorded.copy()
     now["fitness"][1] += 1
     for place in range(3):
-        found.compared(lot, place, recorded[place], now[place], "")
+        found.add_row(lot, recorded, place, now[place], "")
     (different,) = found.different
     assert (different.number, list(different.columns)) == (int(lot.numbers[1]), ["fitness"])
     assert (dict(found.columns), sum(found.outcomes.values())) == ({"fitness": 1}, 3)

@@ -145,7 +145,7 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
 def grasp_view(find: np.void, hand: HandGeometry, stage: BrowserScene, commands: Sequence[str]) -> GraspView:
     """A success (a record of `storage.success_pages`) with the hand in its posture."""
     pose, joints = find["base_to_object"].astype(float), find["joints"].astype(float)
-    frames = hand.frames(pose, joints)
+    frames = hand.link_frames(pose, joints)
     names = [joint.name for joint in hand.gripper.joints]
     return GraspView(
         number=int(find["number"]),

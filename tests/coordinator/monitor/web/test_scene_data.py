@@ -53,7 +53,8 @@ def test_links_stand_where_pictures_draw_them(make_scene, name: str) -> None:
     told = grasp_view(find, drawn, browser_scene(scene, drawn), [])
     shown = {link.name: link for link in browser_scene(scene, drawn).links}
     expected: dict[str, list[NDArray[np.float64]]] = {}
-    for shape, vertices in drawn.posed(find["base_to_object"].astype(float), find["joints"].astype(float)):
+    joints = find["base_to_object"].astype(float), find["joints"].astype(float)
+    for shape, vertices in drawn.place_meshes(*joints):
         expected.setdefault(shape.link, []).append(vertices)
     assert told.links.keys() == shown.keys() == expected.keys()
     for link, parts in expected.items():
