@@ -36,7 +36,7 @@ SECURITY_HEADERS = {
 TOKEN_PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>qdgrasp: token</title><link rel="stylesheet" href="/static/style.css">
-<body class="door"><main><h1>qdgrasp</h1><form method="get" action="/">
+<body class="token-page"><main><h1>qdgrasp</h1><form method="get" action="/">
 <label for="token">Token that was printed with the address</label>
 <input id="token" name="token" type="password" autocomplete="current-password" required autofocus>
 <button>Open</button></form></main></body></html>

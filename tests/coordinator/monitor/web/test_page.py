@@ -336,16 +336,17 @@ class Recorded(FakeLibrary):
         return to_json(replace(grown, points=points))
 
 
-def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one() -> None:
+def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one(chromium: Any) -> None:
     feed = FakeFeed()
     feed.jobs.answered(values(), time.time())
-    with serving(feed, free_port(), library=Recorded()) as place, browser.launched() as chromium:
+    with serving(feed, free_port(), library=Recorded()) as place:
         visit = browser.Visit(chromium, f"{place}/#job=mugs&run=over")
         over, legend = visit.page.locator("#cells .u-over"), visit.page.locator("#cells-legend dd")
         over.wait_for(timeout=PATIENCE)
         box, nudges = over.bounding_box(), count()
         assert box is not None
         until(lambda: under(visit.page, legend, box["x"] + 0.4 * box["width"] + next(nudges) % 3) == "100")
+        visit.context.close()
         assert visit.complaints == []
 
 
