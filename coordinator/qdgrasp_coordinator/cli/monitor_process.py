@@ -96,7 +96,7 @@ def monitor(
         if as_json:
             typer.echo(to_json(views, endpoint))
         else:
-            print_look(views, endpoint, there.strangers, ascii_only=ascii_only)
+            print_look(views, endpoint, there.foreign_jobs, ascii_only=ascii_only)
         return
     with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
         credentials = Credentials.find(security, Role.MONITOR)
@@ -166,11 +166,11 @@ def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]
 
 
 def print_look(
-    views: Sequence[JobView], endpoint: str, strangers: Sequence[str], *, ascii_only: bool
+    views: Sequence[JobView], endpoint: str, foreign_jobs: Sequence[str], *, ascii_only: bool
 ) -> None:
     """Print one look at jobs."""
     console = Console(highlight=False)
-    shown = ScreenState(views, endpoint, local_time(), strangers=strangers)
+    shown = ScreenState(views, endpoint, local_time(), foreign_jobs=foreign_jobs)
     for line in report_lines(shown, console.width, glyphs_of(console, ascii_only=ascii_only)):
         console.print(line, soft_wrap=True)
 

@@ -83,7 +83,7 @@ def values(
 def views(shown: dict[str, bytes]) -> list[JobView]:
     """What is seen of answers that have just come."""
     jobs = JobModels()
-    jobs.answered(shown, 100.0)
+    jobs.receive_answers(shown, 100.0)
     return jobs.views(100.0)
 
 
@@ -94,17 +94,17 @@ START = 1000.0
 def told(jobs: JobModels, now: float, **shown: Struct) -> None:
     """Let jobs hear something of the job mugs: `stat_run_a=...` on stat/run/a."""
     for place, struct in shown.items():
-        jobs.heard(f"{MUGS.root}/{place.replace('_', '/')}", to_json(struct), now)
+        jobs.receive(f"{MUGS.root}/{place.replace('_', '/')}", to_json(struct), now)
 
 
 def watching(now: float = START, answers: Mapping[str, bytes] | None = None) -> JobModels:
     """A monitor that has asked, and was answered."""
     jobs = JobModels()
-    jobs.questions(now)
-    jobs.token(MUGS.coordinator_token(2), True, now)
-    jobs.questions(now)
-    jobs.answered(values() if answers is None else answers, now)
-    jobs.questions(now)
+    jobs.due_queries(now)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), True, now)
+    jobs.due_queries(now)
+    jobs.receive_answers(values() if answers is None else answers, now)
+    jobs.due_queries(now)
     return jobs
 
 
@@ -131,11 +131,11 @@ def job(
 ) -> JobView:
     """A job that goes on for so many seconds, 83 evaluations in each; nothing is heard of it later."""
     jobs, keys = JobModels(), Keys(name)
-    jobs.token(keys.coordinator_token(2), True, 1000.0)
+    jobs.coordinator_changed(keys.coordinator_token(2), True, 1000.0)
     names = [f"panda-mug-aimed-s{number}" for number in range(runs)]
 
     def heard(what: str, struct: object) -> None:
-        jobs.heard(f"{keys.root}/{what}", to_json(struct), 1000.0 + second)  # type: ignore[arg-type]
+        jobs.receive(f"{keys.root}/{what}", to_json(struct), 1000.0 + second)  # type: ignore[arg-type]
 
     for second in range(1, seconds + 1):
         found = 83 * second
@@ -148,7 +148,7 @@ def job(
     heard("meta", meta(name, runs))
     for one in names[:1]:
         points = [CurvePoint(n, 4 * n, n // 9, n // 50, n // 30) for n in range(0, 83 * seconds, 83)]
-        jobs.answered(
+        jobs.receive_answers(
             {keys.stat(f"curve/{one}"): to_json(GrowthCurve(run=one, points=points))}, 1000.0 + seconds
         )
     for page in team(*workers):

@@ -71,7 +71,7 @@ def test_what_is_heard_takes_the_place_of_what_was_heard_before() -> None:
 
 def test_two_jobs_are_told_apart() -> None:
     jobs = watching(answers=values("mugs") | values("cubes", runs=7))
-    jobs.heard(Keys("cubes").stat("job"), to_json(figures(job="cubes", evaluations=2000)), START)
+    jobs.receive(Keys("cubes").stat("job"), to_json(figures(job="cubes", evaluations=2000)), START)
     assert [(view.job, view.figures.evaluations) for view in jobs.views(START)] == [
         ("cubes", 2000),
         ("mugs", 1000),
@@ -111,16 +111,16 @@ def test_what_is_remembered_is_bounded() -> None:
     assert len(view.runs) == len(view.curves) == MOST_RUNS
     assert len(view.events) == EVENTS_KEPT
     for number in range(MAX_JOBS + 5):
-        jobs.answered(values(f"job-{number}"), START)
+        jobs.receive_answers(values(f"job-{number}"), START)
     assert len(jobs.views(START)) == MAX_JOBS
 
 
 def test_the_job_that_is_forgotten_is_the_one_that_was_silent_for_longest() -> None:
     jobs = JobModels()
     for number in range(MAX_JOBS):
-        jobs.answered(values(f"job-{number:02}"), START + number)
-    jobs.heard(Keys("job-00").stat("job"), to_json(figures(job="job-00")), START + MAX_JOBS)
-    jobs.answered(values("new"), START + MAX_JOBS)
+        jobs.receive_answers(values(f"job-{number:02}"), START + number)
+    jobs.receive(Keys("job-00").stat("job"), to_json(figures(job="job-00")), START + MAX_JOBS)
+    jobs.receive_answers(values("new"), START + MAX_JOBS)
     names = {view.job for view in jobs.views(START + MAX_JOBS)}
     assert (len(names), names & {"job-00", "job-01", "new"}) == (MAX_JOBS, {"job-00", "new"})
 
@@ -206,7 +206,7 @@ def test_another_job_of_the_same_name_begins_with_nothing_of_the_old_one() -> No
     begins(jobs, START + 60, 0)  # whose work it goes on with it does not know yet
     told(jobs, START + 60, stat_job=figures(evaluations=0, state="starting"))
     assert "old" in seen(jobs, START + 60).curves
-    jobs.heard(MUGS.event("job"), to_json(event(60)), START + 60)
+    jobs.receive(MUGS.event("job"), to_json(event(60)), START + 60)
     begins(jobs, START + 60, 1)
     view = seen(jobs, START + 60)
     assert (view.runs, view.curves, view.workers, view.history.at) == ([], {}, [], [])
@@ -245,7 +245,7 @@ def test_answers_of_another_job_take_the_place_of_all_that_was_heard_of_the_old_
     told(jobs, START + 1, stat_run_a=run("a", evaluations=900))
     since = structs.replace(meta(epoch=1), since=NOON + timedelta(seconds=60))
     answers = {key: value for key, value in values().items() if key != MUGS.meta}
-    jobs.answered(answers | {MUGS.meta: to_json(since)}, START + 60)
+    jobs.receive_answers(answers | {MUGS.meta: to_json(since)}, START + 60)
     view = seen(jobs, START + 60)
     assert [(one.run, one.evaluations) for one in view.runs] == [("a", 10), ("b", 10)]
 
@@ -273,42 +273,42 @@ def test_a_run_that_is_over_is_shown_as_it_is() -> None:
 def test_at_first_everything_is_asked_once() -> None:
     jobs, any_job = JobModels(), AnyJob()
     asked = [any_job.stat(), any_job.stat("curve/*"), any_job.meta, any_job.recent]
-    assert jobs.questions(START) == asked
-    assert jobs.questions(START + 60) == []
+    assert jobs.due_queries(START) == asked
+    assert jobs.due_queries(START + 60) == []
 
 
 def test_a_coordinator_that_appears_is_asked() -> None:
     jobs = watching()
-    assert jobs.questions(START + 1) == []
-    jobs.token(MUGS.coordinator_token(3), True, START + 2)
-    assert MUGS.stat() in jobs.questions(START + 2)
+    assert jobs.due_queries(START + 1) == []
+    jobs.coordinator_changed(MUGS.coordinator_token(3), True, START + 2)
+    assert MUGS.stat() in jobs.due_queries(START + 2)
 
 
 def test_when_the_router_is_back_everything_is_asked_and_nothing_while_it_is_away() -> None:
     jobs = watching()
-    jobs.linked(False, START)
-    jobs.token(MUGS.coordinator_token(3), True, START + 1)
-    assert jobs.questions(START + 1) == []
-    jobs.linked(True, START + 2)
-    assert AnyJob().meta in jobs.questions(START + 2)
+    jobs.link_changed(False, START)
+    jobs.coordinator_changed(MUGS.coordinator_token(3), True, START + 1)
+    assert jobs.due_queries(START + 1) == []
+    jobs.link_changed(True, START + 2)
+    assert AnyJob().meta in jobs.due_queries(START + 2)
 
 
 def test_a_job_of_which_too_little_is_known_is_asked_again_now_and_then() -> None:
     jobs = JobModels()
-    jobs.questions(START)
+    jobs.due_queries(START)
     told(jobs, START + 1, stat_job=figures())
-    assert MUGS.meta in jobs.questions(START + 1)
+    assert MUGS.meta in jobs.due_queries(START + 1)
     told(jobs, START + 1.5, stat_job=figures())
-    assert jobs.questions(START + 1.5) == []
-    assert MUGS.meta in jobs.questions(START + 1 + RETRY_SECONDS)
-    jobs.answered(values(), START + 7)
-    assert not set(jobs.questions(START + 60)) & {MUGS.meta, MUGS.stat()}
+    assert jobs.due_queries(START + 1.5) == []
+    assert MUGS.meta in jobs.due_queries(START + 1 + RETRY_SECONDS)
+    jobs.receive_answers(values(), START + 7)
+    assert not set(jobs.due_queries(START + 60)) & {MUGS.meta, MUGS.stat()}
 
 
 def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for_until_it_comes() -> None:
     jobs = JobModels()
-    jobs.questions(START)
-    jobs.answered({MUGS.meta: to_json(meta()), MUGS.stat("job"): to_json(figures())}, START)
+    jobs.due_queries(START)
+    jobs.receive_answers({MUGS.meta: to_json(meta()), MUGS.stat("job"): to_json(figures())}, START)
     told(
         jobs,
         START,
@@ -316,20 +316,20 @@ def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for
         stat_run_resumed=run("resumed", evaluations=70),
     )
     asked = [MUGS.stat("curve/resumed")]
-    assert jobs.questions(START) == asked
-    jobs.answered({}, START + 1)  # it did not come in time
+    assert jobs.due_queries(START) == asked
+    jobs.receive_answers({}, START + 1)  # it did not come in time
     told(jobs, START + RETRY_SECONDS, stat_job=figures())
-    assert (jobs.questions(START + 1), jobs.questions(START + RETRY_SECONDS)) == ([], asked)
-    jobs.answered({MUGS.stat("curve/resumed"): to_json(curve("resumed", 5, 70))}, START + 6)
+    assert (jobs.due_queries(START + 1), jobs.due_queries(START + RETRY_SECONDS)) == ([], asked)
+    jobs.receive_answers({MUGS.stat("curve/resumed"): to_json(curve("resumed", 5, 70))}, START + 6)
     told(jobs, START + 60, stat_job=figures())
-    assert jobs.questions(START + 60) == []
+    assert jobs.due_queries(START + 60) == []
 
 
 def test_curves_are_asked_for_also_when_another_job_begins() -> None:
     jobs = watching()
     told(jobs, START, stat_run_resumed=run("resumed", evaluations=70))
-    jobs.token(Keys("cubes").coordinator_token(1), True, START)
-    asked = jobs.questions(START)
+    jobs.coordinator_changed(Keys("cubes").coordinator_token(1), True, START)
+    asked = jobs.due_queries(START)
     assert {MUGS.stat("curve/resumed"), Keys("cubes").meta} <= {*asked}
 
 
@@ -337,18 +337,18 @@ def test_many_curves_are_one_question() -> None:
     jobs = watching()
     for name in ("c", "d"):
         told(jobs, START, **{f"stat_run_{name}": run(name)})
-    assert jobs.questions(START) == [MUGS.stat("curve/*")]
+    assert jobs.due_queries(START) == [MUGS.stat("curve/*")]
 
 
 def test_curves_that_nobody_has_any_more_are_not_asked_for() -> None:
     jobs = JobModels()
-    jobs.questions(START)
+    jobs.due_queries(START)
     answers = {key: value for key, value in values().items() if "run" not in key}
-    jobs.answered(answers, START)
+    jobs.receive_answers(answers, START)
     told(jobs, START, stat_run_c=run("c", finished="all are spent"))
-    assert jobs.questions(START) == []
+    assert jobs.due_queries(START) == []
     told(jobs, START, stat_run_d=run("d"))
-    assert jobs.questions(START + 2 * SILENCE_SECONDS) == []
+    assert jobs.due_queries(START + 2 * SILENCE_SECONDS) == []
 
 
 def test_a_job_is_what_its_coordinator_says_while_it_speaks() -> None:
@@ -366,25 +366,25 @@ def test_a_coordinator_that_says_nothing_is_silent_and_is_heard_again() -> None:
 
 def test_a_coordinator_whose_token_vanishes_is_gone_at_once() -> None:
     jobs = watching()
-    jobs.token(MUGS.coordinator_token(2), False, START + 1)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
     told(jobs, START + 1.5, stat_job=figures())  # it was on its way
     assert seen(jobs, START + 2).state == "gone"
 
 
 def test_another_coordinator_goes_on_with_a_job() -> None:
     jobs = watching()
-    jobs.token(MUGS.coordinator_token(2), False, START + 1)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
     told(jobs, START + 9, meta=meta(epoch=0), stat_job=figures(state="starting"))
     assert seen(jobs, START + 9).state == "starting"
-    jobs.token(MUGS.coordinator_token(3), True, START + 10)
-    jobs.answered(values(epoch=3), START + 10)
+    jobs.coordinator_changed(MUGS.coordinator_token(3), True, START + 10)
+    jobs.receive_answers(values(epoch=3), START + 10)
     assert (seen(jobs, START + 10).state, seen(jobs, START + 10).meta.epoch) == ("running", 3)
 
 
 def test_a_token_of_an_epoch_that_is_over_takes_nothing_away() -> None:
     jobs = watching()
-    jobs.token(MUGS.coordinator_token(3), True, START + 1)
-    jobs.token(MUGS.coordinator_token(2), False, START + 2)
+    jobs.coordinator_changed(MUGS.coordinator_token(3), True, START + 1)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 2)
     assert seen(jobs, START + 2).state == "running"
 
 
@@ -404,7 +404,7 @@ def test_how_a_job_ended_is_told_by_what_its_coordinator_said_last(
 ) -> None:
     jobs = watching()
     told(jobs, START + 1, stat_job=figures(**last))
-    jobs.token(MUGS.coordinator_token(2), False, START + 1.1)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1.1)
     assert seen(jobs, START + 2).state == state
 
 
@@ -413,21 +413,21 @@ def test_while_the_router_is_away_nobody_knows_whether_a_coordinator_is_there(ne
     jobs = watching()
     for one in news:
         if one == "link":
-            jobs.linked(False, START + 1)
+            jobs.link_changed(False, START + 1)
         else:
-            jobs.token(MUGS.coordinator_token(2), False, START + 1)
+            jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
     assert seen(jobs, START + 60).state == "silent"
-    jobs.linked(True, START + 61)
-    jobs.token(MUGS.coordinator_token(2), True, START + 61)
+    jobs.link_changed(True, START + 61)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), True, START + 61)
     told(jobs, START + 61, stat_job=figures())
     assert seen(jobs, START + 62).state == "running"
 
 
 def test_a_coordinator_that_does_not_come_back_with_the_router_is_gone() -> None:
     jobs = watching()
-    jobs.linked(False, START + 1)
-    jobs.token(MUGS.coordinator_token(2), False, START + 1)
-    jobs.linked(True, START + 60)
+    jobs.link_changed(False, START + 1)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), False, START + 1)
+    jobs.link_changed(True, START + 60)
     assert seen(jobs, START + 61).state == "silent"
     assert seen(jobs, START + 60 + SILENCE_SECONDS + 1).state == "gone"
 
@@ -449,7 +449,7 @@ PLACES = (
 def test_what_is_no_message_changes_nothing(payload: bytes, place: str) -> None:
     jobs = watching()
     before = seen(jobs, START)
-    jobs.heard(f"{MUGS.root}/{place}", payload, START)
+    jobs.receive(f"{MUGS.root}/{place}", payload, START)
     assert seen(jobs, START) == before
 
 
@@ -458,21 +458,21 @@ def test_what_is_no_message_changes_nothing(payload: bytes, place: str) -> None:
 )
 def test_keys_of_others_are_left_alone(key: str) -> None:
     jobs = JobModels()
-    jobs.heard(key, to_json(figures()), START)
-    jobs.token(key, True, START)
-    assert (jobs.views(START), jobs.strangers) == ([], [])
+    jobs.receive(key, to_json(figures()), START)
+    jobs.coordinator_changed(key, True, START)
+    assert (jobs.views(START), jobs.foreign_jobs) == ([], [])
 
 
 def test_a_job_of_another_version_is_named_until_it_can_be_read() -> None:
     jobs = JobModels()
-    jobs.heard(MUGS.stat("job"), b'{"job": "mugs", "figures": "quite other ones"}', START)
-    assert (jobs.views(START), jobs.strangers) == ([], ["mugs"])
-    jobs.answered(values(), START)
-    assert (len(jobs.views(START)), jobs.strangers) == (1, [])
+    jobs.receive(MUGS.stat("job"), b'{"job": "mugs", "figures": "quite other ones"}', START)
+    assert (jobs.views(START), jobs.foreign_jobs) == ([], ["mugs"])
+    jobs.receive_answers(values(), START)
+    assert (len(jobs.views(START)), jobs.foreign_jobs) == (1, [])
 
 
 def test_fields_that_a_later_version_adds_are_passed_over() -> None:
     jobs = watching()
     later = to_json(figures(evaluations=2000)).replace(b'{"job"', b'{"mood": "good", "job"', 1)
-    jobs.heard(MUGS.stat("job"), later, START)
+    jobs.receive(MUGS.stat("job"), later, START)
     assert seen(jobs, START).figures.evaluations == 2000

@@ -188,14 +188,14 @@ def test_it_says_when_the_monitor_does_not_reach_its_router(look: Look) -> None:
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#link")).to_have_text("live")
-        feed.jobs.linked(False, time.time())
+        feed.jobs.link_changed(False, time.time())
         expect(page.locator("#link")).to_have_text("the monitor does not reach its router")
 
 
 def test_of_workers_of_a_silent_job_it_says_since_when_nobody_tells(look: Look) -> None:
     feed = FakeFeed()
     feed.step(time.time() - 40)
-    feed.jobs.linked(False, time.time())
+    feed.jobs.link_changed(False, time.time())
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#workers-words")).to_have_text(
@@ -220,7 +220,7 @@ def test_of_a_router_that_went_with_its_jobs_nothing_is_said(look: Look) -> None
     feed = FakeFeed()
     feed.steps = BUDGET // STEP
     feed.step()
-    feed.jobs.linked(False, time.time())
+    feed.jobs.link_changed(False, time.time())
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#state")).to_contain_text("ended")
@@ -338,7 +338,7 @@ class Recorded(FakeLibrary):
 
 def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one(chromium: Any) -> None:
     feed = FakeFeed()
-    feed.jobs.answered(values(), time.time())
+    feed.jobs.receive_answers(values(), time.time())
     with serving(feed, free_port(), library=Recorded()) as place:
         visit = browser.Visit(chromium, f"{place}/#job=mugs&run=over")
         over, legend = visit.page.locator("#cells .u-over"), visit.page.locator("#cells-legend dd")
