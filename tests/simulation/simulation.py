@@ -1,4 +1,4 @@
-"""A whole simulation: its world, its processes, the keeper that starts again what has ended, and its checks."""
+"""A whole simulation: its world, its processes, who starts them again, and its checks."""
 
 import hashlib
 from collections import Counter
