@@ -186,12 +186,12 @@ def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
     """Serve the page; what it needs is loaded for it alone."""
     from qdgrasp_coordinator.monitor.records import BusRecords
-    from qdgrasp_coordinator.monitor.web.routes import LiveSite
+    from qdgrasp_coordinator.monitor.web.routes import live_site
     from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
     from qdgrasp_coordinator.monitor.web.server import serve as serve_site
 
     host, port = host_and_port(web)
-    site = LiveSite(feed, RunCaches(BusRecords(bus)))
+    site = live_site(feed, RunCaches(BusRecords(bus)))
     serve_site(site, host, port, token, stop, lambda address: log.info("the page is open", address=address))
 
 

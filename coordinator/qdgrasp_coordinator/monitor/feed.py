@@ -43,7 +43,7 @@ Change = Callable[[JobModels, float], None]
 
 
 class Feed:
-    """The jobs on a bus, kept up to date while its context lasts: a `JobFeed`.
+    """The jobs on a bus, kept up to date while its context lasts.
 
     Parameters
     ----------

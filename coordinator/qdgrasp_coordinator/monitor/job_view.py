@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from operator import itemgetter
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from msgspec import Struct
 
@@ -151,21 +151,6 @@ class JobView(Struct, frozen=True, kw_only=True):
             return not run.finished, max(heard, default=0.0), number
 
         return [self.runs[number] for number in sorted(sorted(range(len(self.runs)), key=rank)[-most:])]
-
-
-class JobFeed(Protocol):
-    """Source of the jobs for a display."""
-
-    @property
-    def is_linked(self) -> bool:
-        """False while the router cannot be reached."""
-
-    @property
-    def foreign_jobs(self) -> list[str]:
-        """Jobs whose messages cannot be read: their coordinators are of another version of qdgrasp."""
-
-    def views(self) -> list[JobView]:
-        """Return the jobs as they are now, by their names."""
 
 
 def end_state(figures: JobStatus | None) -> str:

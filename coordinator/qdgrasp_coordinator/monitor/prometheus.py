@@ -76,16 +76,8 @@ def metric(
 
 
 COUNT_METRICS = (
-    MetricSpec("evaluations"),
-    MetricSpec("trials"),
-    MetricSpec("simulated"),
-    MetricSpec("proposals"),
-    MetricSpec("overlaps"),
-    MetricSpec("dead_ends"),
-    MetricSpec("successes"),
-    MetricSpec("grasps"),
-    MetricSpec("robust"),
-    MetricSpec("errors"),
+    *map(MetricSpec, ("evaluations", "trials", "simulated", "proposals", "overlaps", "dead_ends")),
+    *map(MetricSpec, ("successes", "grasps", "robust", "errors")),
     MetricSpec("cells", GaugeMetricFamily),
     MetricSpec("budget", GaugeMetricFamily, unit="evaluations"),
 )

@@ -14,8 +14,8 @@ from rich.live import Live
 from rich.text import Text
 
 from qdgrasp_coordinator.metrics.job_status import utc_now
-from qdgrasp_coordinator.monitor.feed import summary_lines
-from qdgrasp_coordinator.monitor.job_view import JobFeed, JobView, end_state
+from qdgrasp_coordinator.monitor.feed import Feed, summary_lines
+from qdgrasp_coordinator.monitor.job_view import JobView, end_state
 from qdgrasp_coordinator.monitor.terminal.charts import count_lines, curve_lines, outcome_lines, progress_line
 from qdgrasp_coordinator.monitor.terminal.keyboard import Keyboard, keyboard
 from qdgrasp_coordinator.monitor.terminal.text_tables import (
@@ -294,7 +294,7 @@ DRAW_INTERVAL = 0.5  # seconds between two pictures
 PRINT_INTERVAL = 5.0  # seconds between two reports where nothing can be drawn
 
 
-def watch_jobs(feed: JobFeed, endpoint: str, console: Console, glyphs: Glyphs, stop: Stop) -> None:
+def watch_jobs(feed: Feed, endpoint: str, console: Console, glyphs: Glyphs, stop: Stop) -> None:
     """Show jobs until a key or a signal ends it."""
     if console.is_terminal and not console.is_dumb_terminal:
         with keyboard(stop) as keys:
@@ -304,7 +304,7 @@ def watch_jobs(feed: JobFeed, endpoint: str, console: Console, glyphs: Glyphs, s
 
 
 def draw_screen(
-    feed: JobFeed, endpoint: str, console: Console, glyphs: Glyphs, keys: Keyboard, stop: Stop
+    feed: Feed, endpoint: str, console: Console, glyphs: Glyphs, keys: Keyboard, stop: Stop
 ) -> None:
     """Draw the whole terminal twice a second, and after each key."""
     choice = ScreenSelection()
@@ -326,7 +326,7 @@ def draw_screen(
 
 
 def print_status(
-    feed: JobFeed, endpoint: str, console: Console, glyphs: Glyphs, keys: Keyboard, stop: Stop
+    feed: Feed, endpoint: str, console: Console, glyphs: Glyphs, keys: Keyboard, stop: Stop
 ) -> None:
     """Print the progress of the jobs every few seconds: for dumb terminals, and for files."""
     keys.wait(DRAW_INTERVAL)  # until messages came
@@ -346,7 +346,7 @@ def status_lines(shown: ScreenState, width: int, glyphs: Glyphs) -> list[str]:
     return [glyphs.text(line) for view in shown.views for line in summary_lines(view, utc_now())] + link
 
 
-def screen_state(feed: JobFeed, endpoint: str) -> ScreenState:
+def screen_state(feed: Feed, endpoint: str) -> ScreenState:
     """Return the state of a feed as the screen shows it now."""
     return ScreenState(feed.views(), endpoint, local_time(), feed.is_linked, feed.foreign_jobs)
 

@@ -26,19 +26,13 @@ from qdgrasp_protocol.text import counted, printable
 class Glyphs:
     """Characters for bars, rules and curves."""
 
-    full: str
-    """A part of a progress bar that is done."""
-    empty: str
-    """A part that is not."""
+    full: str  # The part of a progress bar that is done
+    empty: str  # The part that is not
     rule: str
-    between: str
-    """Separator of phrases in a line."""
-    chosen: str
-    """Mark of the selected job."""
-    more: str
-    """Mark of words that are cut off."""
-    stages: str
-    """Fillings of the parts of a bar, from left to right."""
+    between: str  # Separator of phrases in a line
+    chosen: str  # Mark of the selected job
+    more: str  # Mark of words that are cut off
+    stages: str  # Fillings of the parts of a bar, from left to right
     has_braille: bool
 
     def text(self, words: str) -> str:
@@ -59,7 +53,6 @@ def glyphs_of(console: Console, *, ascii_only: bool = False) -> Glyphs:
 
 MAX_SECONDS = 99_999 * 86_400.0  # seconds; longer times are shown as this
 SIZES = ("", "k", "M", "G", "T")
-UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
 def count_text(number: float) -> str:
@@ -71,10 +64,8 @@ def short_count(number: float) -> str:
     """Return a count in at most five characters: 0.8, 950, 41.2k, 1.2M."""
     if number < 9_999.5:
         return f"{number:.0f}" if number >= 10 or number == int(number) else f"{number:.1f}"
-    unit = 0
-    while number >= 999.5 and unit < len(SIZES) - 1:
-        number, unit = number / 1000, unit + 1
-    return f"{number:.1f}{SIZES[unit]}" if number < 99.95 else f"{number:.0f}{SIZES[unit]}"
+    number, size = _scaled(number)
+    return f"{number:.1f}{SIZES[size]}" if number < 99.95 else f"{number:.0f}{SIZES[size]}"
 
 
 def percent_text(some: float, total: float) -> str:
@@ -98,10 +89,16 @@ def span_text(seconds: float) -> str:
 
 def size_text(number: float) -> str:
     """Return bytes in at most six characters: 310 MB."""
-    unit = 0
-    while number >= 999.5 and unit < len(UNITS) - 1:
-        number, unit = number / 1000, unit + 1
-    return f"{number:.1f} {UNITS[unit]}" if unit and number < 9.95 else f"{number:.0f} {UNITS[unit]}"
+    number, size = _scaled(number)
+    return f"{number:.1f} {SIZES[size]}B" if size and number < 9.95 else f"{number:.0f} {SIZES[size]}B"
+
+
+def _scaled(number: float) -> tuple[float, int]:
+    """Return a number below 1000 and the index of its size, unless it is greater than all sizes."""
+    size = 0
+    while number >= 999.5 and size < len(SIZES) - 1:
+        number, size = number / 1000, size + 1
+    return number, size
 
 
 GAP = 2  # characters between columns

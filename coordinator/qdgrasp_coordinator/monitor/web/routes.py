@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import indent
-from typing import Protocol
 
 import msgspec
 from anyio import CapacityLimiter, to_thread
@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from qdgrasp_coordinator.monitor.job_view import JobFeed
+from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.monitor.prometheus import exposition
 from qdgrasp_coordinator.monitor.records import FolderIndex, FolderRecords
 from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
@@ -24,8 +24,67 @@ from qdgrasp_protocol.text import printable
 
 PAGES = Path(__file__).with_name("pages")
 PART = re.compile(r"^( *)<!-- (parts/\w+\.html) -->\n", re.MULTILINE)
-MAX_THREADS = 16  # Threads that query the library; requests that wait for them delay no others
+MAX_THREADS = 16  # Threads for answers that may take long; requests that wait for them delay no others
 MAX_ROW = (1 << 32) - 1  # The greatest number of a row in a journal
+JSON = "application/json"
+
+
+@dataclass(frozen=True)
+class Site:
+    """A page with its data."""
+
+    routes: list[BaseRoute]
+    end: Callable[[], None] = lambda: None
+    """Called when the server ends, to end streams."""
+
+
+class JobListing(Struct, frozen=True):
+    """A job in a folder."""
+
+    job: str
+    folder: str
+    """Its path, printable."""
+    runs: list[str]
+    """Names of its runs that were begun."""
+
+
+def live_site(feed: Feed, runs: RunCaches) -> Site:
+    """Return the site of the jobs in a feed."""
+    state, limiter = PageState(feed), CapacityLimiter(MAX_THREADS)
+    broadcast = Broadcast(state.state)
+
+    async def stream(request: Request) -> Response:
+        if broadcast.watchers >= MAX_BROWSERS:
+            return PlainTextResponse("Too many browsers watch already.\n", 503, {"Retry-After": "5"})
+        return EventStream(broadcast, packed="gzip" in request.headers.get("accept-encoding", ""))
+
+    def metrics(_request: Request) -> Response:
+        text, kind = exposition(state.views())
+        return Response(text, headers={"Content-Type": kind})
+
+    routes = [
+        Route("/", lambda _: HTMLResponse(html("index"))),
+        Route("/api/state", lambda _: _json(state.state())),
+        Route("/api/stream", stream),
+        Route("/api/jobs/{job}/curves", lambda request: _json(state.curves(request.path_params["job"]))),
+        _slow("/api/jobs/{job}/runs", lambda request: runs.runs(request.path_params["job"]), limiter),
+        Route("/metrics", metrics),
+    ]
+    return Site([*routes, *_run_routes(runs, limiter)], broadcast.end)
+
+
+def folder_site(index: FolderIndex) -> Site:
+    """Return the site of the jobs in folders."""
+    limiter = CapacityLimiter(MAX_THREADS)
+
+    def listings(_request: Request) -> bytes:
+        jobs = index.jobs.items()
+        found = [JobListing(name, printable(str(job.folder.path)), list(job.runs)) for name, job in jobs]
+        return msgspec.json.encode(found)
+
+    page = Route("/", lambda _: HTMLResponse(html("view")))
+    runs = _run_routes(RunCaches(FolderRecords(index)), limiter)
+    return Site([page, _slow("/api/jobs", listings, limiter), *runs])
 
 
 def html(name: str) -> str:
@@ -37,73 +96,42 @@ def html(name: str) -> str:
     return PART.sub(lambda part: indent(read(part[2]), part[1]), read(f"{name}.html"))
 
 
-class RunLibrary(Protocol):
-    """Data of runs as the page reads it. Its methods may take a while, and are called in threads.
+def _run_routes(runs: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
+    """Return the routes of one run's data, which both sites have."""
 
-    Raises
-    ------
-    QdgraspError
-        From any method: there is no such job, run or grasp, or no answer.
-    """
+    def cells(request: Request) -> bytes:
+        return runs.cells(*_run(request), _row(request.query_params.get("from", "")) or 0)
 
-    def runs(self, job: str) -> bytes:
-        """Return the runs of a job, finished ones too: JSON of `RunListings`."""
-
-    def curve(self, job: str, run: str) -> bytes:
-        """Return the curve of a run, also of one that is over: JSON of `GrowthCurve`."""
-
-    def scene(self, job: str, run: str) -> bytes:
-        """Return the object, the hand's links and the bounds of a run: JSON of `BrowserScene`."""
-
-    def cells(self, job: str, run: str, since: int) -> bytes:
-        """Return the voxels of a run with the serial `since` or a later one, packed as `scene_data` says."""
-
-    def grasp(self, job: str, run: str, number: int) -> bytes:
-        """Return the success with this journal number: JSON of `GraspView`."""
-
-
-class RunRoutes:
-    """Routes of the data of runs, which both sites have."""
-
-    def __init__(self, library: RunLibrary) -> None:
-        self._library = library
-        self._limiter = CapacityLimiter(MAX_THREADS)
-
-    def routes(self) -> list[BaseRoute]:
-        """Return the routes."""
-        run = "/api/jobs/{job}/runs/{run}"
-        return [
-            Route(f"{run}/curve", self._curve),
-            Route(f"{run}/scene", self._scene),
-            Route(f"{run}/cells", self._cells),
-            Route(f"{run}/grasps/{{number}}", self._grasp),
-        ]
-
-    async def query(self, work: Callable[[], bytes]) -> bytes:
-        """Return the result of a function that may take long, called in a thread."""
-        return await to_thread.run_sync(work, limiter=self._limiter)
-
-    async def _curve(self, request: Request) -> Response:
-        return json_response(await self.query(lambda: self._library.curve(*_run(request))))
-
-    async def _scene(self, request: Request) -> Response:
-        return json_response(await self.query(lambda: self._library.scene(*_run(request))))
-
-    async def _cells(self, request: Request) -> Response:
-        since = _row(request.query_params.get("from", "")) or 0
-        packed = await self.query(lambda: self._library.cells(*_run(request), since))
-        return Response(packed, media_type="application/octet-stream")
-
-    async def _grasp(self, request: Request) -> Response:
+    def grasp(request: Request) -> bytes:
         row = _row(text := request.path_params["number"])
         if row is None:
             raise InputError(f"'{text[:20]}' is not the number of a row.")
-        return json_response(await self.query(lambda: self._library.grasp(*_run(request), row)))
+        return runs.grasp(*_run(request), row)
+
+    run = "/api/jobs/{job}/runs/{run}"
+    return [
+        _slow(f"{run}/curve", lambda request: runs.curve(*_run(request)), limiter),
+        _slow(f"{run}/scene", lambda request: runs.scene(*_run(request)), limiter),
+        _slow(f"{run}/cells", cells, limiter, "application/octet-stream"),
+        _slow(f"{run}/grasps/{{number}}", grasp, limiter),
+    ]
 
 
-def json_response(text: bytes) -> Response:
+def _slow(
+    path: str, query: Callable[[Request], bytes], limiter: CapacityLimiter, media_type: str = JSON
+) -> BaseRoute:
+    """Return a route whose answer may take long, and is queried in a thread."""
+
+    async def respond(request: Request) -> Response:
+        text = await to_thread.run_sync(query, request, limiter=limiter)
+        return _json(text) if media_type == JSON else Response(text, media_type=media_type)
+
+    return Route(path, respond)
+
+
+def _json(text: bytes) -> Response:
     """Return JSON that is not cached."""
-    return Response(text, headers={"Cache-Control": "no-store"}, media_type="application/json")
+    return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON)
 
 
 def _run(request: Request) -> tuple[str, str]:
@@ -112,81 +140,6 @@ def _run(request: Request) -> tuple[str, str]:
 
 
 def _row(text: str) -> int | None:
-    """Return the number of a row of a journal; None where the text is none."""
+    """Return the number of a row of a journal; None where the text is not one."""
     found = parse_number(text)
     return found if found is None or found <= MAX_ROW else None
-
-
-class LiveSite:
-    """Site of the jobs in a feed; data of their runs comes from a library."""
-
-    def __init__(self, feed: JobFeed, library: RunLibrary) -> None:
-        self._state = PageState(feed)
-        self._library = library
-        self._runs = RunRoutes(library)
-        self._broadcast = Broadcast(self._state.state)
-
-    def routes(self) -> list[BaseRoute]:
-        """Return the routes."""
-        return [
-            Route("/", lambda _: HTMLResponse(html("index"))),
-            Route("/api/state", lambda _: json_response(self._state.state())),
-            Route("/api/stream", self._stream),
-            Route("/api/jobs/{job}/curves", self._curves),
-            Route("/api/jobs/{job}/runs", self._listings),
-            Route("/metrics", self._metrics),
-            *self._runs.routes(),
-        ]
-
-    def end(self) -> None:
-        """End the streams to browsers."""
-        self._broadcast.end()
-
-    async def _stream(self, request: Request) -> Response:
-        if self._broadcast.watchers >= MAX_BROWSERS:
-            return PlainTextResponse("Too many browsers watch already.\n", 503, {"Retry-After": "5"})
-        return EventStream(self._broadcast, packed="gzip" in request.headers.get("accept-encoding", ""))
-
-    def _curves(self, request: Request) -> Response:
-        return json_response(self._state.curves(request.path_params["job"]))
-
-    async def _listings(self, request: Request) -> Response:
-        return json_response(await self._runs.query(lambda: self._library.runs(request.path_params["job"])))
-
-    def _metrics(self, request: Request) -> Response:
-        text, kind = exposition(self._state.views())
-        return Response(text, headers={"Content-Type": kind})
-
-
-class JobListing(Struct, frozen=True):
-    """A job of a `FolderSite`."""
-
-    job: str
-    folder: str
-    """Its path, printable."""
-    runs: list[str]
-    """Names of its runs that were begun."""
-
-
-class FolderSite:
-    """Site of the jobs in folders."""
-
-    def __init__(self, index: FolderIndex) -> None:
-        self._index = index
-        self._runs = RunRoutes(RunCaches(FolderRecords(index)))
-
-    def routes(self) -> list[BaseRoute]:
-        """Return the routes."""
-        page = Route("/", lambda _: HTMLResponse(html("view")))
-        return [page, Route("/api/jobs", self._jobs), *self._runs.routes()]
-
-    def end(self) -> None:
-        """Do nothing: there are no streams."""
-
-    async def _jobs(self, request: Request) -> Response:
-        return json_response(await self._runs.query(self._listings))
-
-    def _listings(self) -> bytes:
-        jobs = self._index.jobs.items()
-        listings = [JobListing(name, printable(str(job.folder.path)), list(job.runs)) for name, job in jobs]
-        return msgspec.json.encode(listings)

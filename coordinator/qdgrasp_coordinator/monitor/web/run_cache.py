@@ -180,7 +180,15 @@ class RunCache:
 
 
 class RunCaches:
-    """`RunLibrary` of records; `clock` gives the time [s]."""
+    """Data of all runs, as the page reads them; `clock` gives the time [s].
+
+    The methods may take a while; any thread may call them.
+
+    Raises
+    ------
+    QdgraspError
+        From any method: there is no such job, run or grasp, or no answer.
+    """
 
     def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
         def listings(job: str) -> TtlCache[RunListings]:
@@ -197,21 +205,21 @@ class RunCaches:
         self._runs = lru_cache(MAX_RUNS)(cache)
 
     def runs(self, job: str) -> bytes:
-        """Return JSON of `RunListings`."""
+        """Return the runs of a job, finished ones too: JSON of `RunListings`."""
         return msgspec.json.encode(self._listings(job).get())
 
     def curve(self, job: str, run: str) -> bytes:
-        """Return JSON of `GrowthCurve`."""
+        """Return the curve of a run, also of one that is over: JSON of `GrowthCurve`."""
         return msgspec.json.encode(self._curves(job, run).get())
 
     def scene(self, job: str, run: str) -> bytes:
-        """Return JSON of `BrowserScene`."""
+        """Return the object, the hand and the bounds of a run: JSON of `BrowserScene`."""
         return self._runs(job, run).scene()
 
     def cells(self, job: str, run: str, since: int) -> bytes:
-        """Return a page of voxels."""
+        """Return a page of voxels from the serial `since` on, as `scene_data` packs them."""
         return self._runs(job, run).cells(since)
 
     def grasp(self, job: str, run: str, number: int) -> bytes:
-        """Return JSON of `GraspView`."""
+        """Return the success in a journal row: JSON of `GraspView`."""
         return self._runs(job, run).grasp(number)

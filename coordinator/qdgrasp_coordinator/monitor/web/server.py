@@ -8,7 +8,6 @@ import socket
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Protocol
 
 import uvicorn
 from starlette.applications import Starlette
@@ -16,11 +15,12 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
-from starlette.routing import BaseRoute, Mount
+from starlette.routing import Mount
 from starlette.staticfiles import StaticFiles
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from qdgrasp_coordinator.monitor.web.access import Access, AccessMiddleware
+from qdgrasp_coordinator.monitor.web.routes import Site
 from qdgrasp_protocol.errors import EndpointError, InputError, QdgraspError
 from qdgrasp_protocol.process import Stop
 
@@ -60,16 +60,6 @@ class LimitedConnection(H11Protocol):
             self.transport.close()
 
 
-class Site(Protocol):
-    """A page with its data."""
-
-    def routes(self) -> list[BaseRoute]:
-        """Return the routes."""
-
-    def end(self) -> None:
-        """End streams: the server ends."""
-
-
 class PageServer(uvicorn.Server):
     """A server that leaves signals to this process, and ends the site's streams when it ends."""
 
@@ -90,7 +80,7 @@ class PageServer(uvicorn.Server):
 def application(site: Site, access: Access) -> Starlette:
     """Make a site an ASGI application."""
     return Starlette(
-        routes=[*site.routes(), Mount("/static", StaticFiles(directory=STATIC))],
+        routes=[*site.routes, Mount("/static", StaticFiles(directory=STATIC))],
         middleware=[
             Middleware(AccessMiddleware, access=access),
             Middleware(GZipMiddleware, minimum_size=1024, compresslevel=5),

@@ -21,7 +21,8 @@ from starlette.types import Message, Receive, Scope, Send
 
 from qdgrasp_coordinator.metrics.job_status import JobEvent, JobMeta, JobStatus, RunStatus, WorkerStatus
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
-from qdgrasp_coordinator.monitor.job_view import JobFeed, JobView, Series
+from qdgrasp_coordinator.monitor.feed import Feed
+from qdgrasp_coordinator.monitor.job_view import JobView, Series
 from qdgrasp_protocol.errors import UnknownName
 
 FRESH_SECONDS = 0.2  # seconds for which the views are reused
@@ -119,7 +120,7 @@ class JobCurves(Struct, frozen=True, kw_only=True):
 class PageState:
     """JSON of the jobs in a feed; views are reused for `FRESH_SECONDS`."""
 
-    def __init__(self, feed: JobFeed) -> None:
+    def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._lock = threading.Lock()
         self._views: list[JobView] = []

@@ -17,7 +17,7 @@ from tests.coordinator.monitor.web.conftest import HERE, free_port, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web import state_stream
-from qdgrasp_coordinator.monitor.web.routes import LiveSite
+from qdgrasp_coordinator.monitor.web.routes import live_site
 from qdgrasp_coordinator.monitor.web.server import serve
 from qdgrasp_coordinator.monitor.web.state_stream import (
     GZIP_HEADER,
@@ -259,4 +259,4 @@ def test_a_place_that_is_taken_is_said(feed: FakeFeed) -> None:
     with socket.create_server((HERE, 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(EndpointError, match=f"{HERE}:{port}: Address already in use; name another place"):
-            serve(LiveSite(feed, FakeLibrary()), HERE, port, "", Stop(), print)
+            serve(live_site(feed, FakeLibrary()), HERE, port, "", Stop(), print)
