@@ -37,7 +37,7 @@ SUBSCRIBED_KEYS: dict[str, int] = {
     "stat/team/*": 512,
     "event/*": 512,
 }
-"""Subscribed keys below a job's, with the capacity of their rings; identities of jobs come first."""
+"""Subscribed keys below a job's, with the capacity of their rings; `meta` comes first."""
 
 Change = Callable[[JobModels, float], None]
 

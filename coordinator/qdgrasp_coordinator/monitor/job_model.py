@@ -28,7 +28,7 @@ from qdgrasp_protocol.keys import AnyJob, Keys, job_of, last_chunk, matches
 CountedStatus = TypeVar("CountedStatus", RunStatus, JobStatus)
 
 COUNTS = frozenset({*TOTAL_NAMES, "rows", "outcomes"})
-"""Fields that only grow while a job goes on: numbers, or numbers by name. Jobs do not have all of them."""
+"""Fields that only grow while a job goes on: numbers, or numbers by name; jobs lack some."""
 SILENCE_SECONDS = 5.0  # seconds without a message until a coordinator is silent; it publishes twice a second
 LATE_MESSAGE_SECONDS = 1.0  # seconds by which a message may come after the end of its coordinator's token
 RETRY_SECONDS = 5.0  # seconds until a query without an answer is repeated
@@ -39,7 +39,7 @@ ALL_KEYS = ""  # Stands for all jobs
 
 
 def with_monotonic_counts(now: CountedStatus, before: CountedStatus | None) -> CountedStatus:
-    """Return the figures now, with no count below that of before; what is counted does not remain."""
+    """Return the figures now, with no count below that of before; `remaining` falls with them."""
     if before is None:
         return now
     names = COUNTS.intersection(now.__struct_fields__)
@@ -150,7 +150,7 @@ class JobModel:
         return False
 
     def coordinator_changed(self, key: str, alive: bool, now: float, *, is_linked: bool = True) -> None:
-        """Take the news that a coordinator's token appeared or ended; without a link all seem to end."""
+        """Take that a coordinator's token appeared or ended; without a link all seem to end."""
         (self._coordinators.add if alive else self._coordinators.discard)(key)
         if alive:
             self._gone_at, self.heard_at = None, now
@@ -163,7 +163,7 @@ class JobModel:
             self._gone_at = None
 
     def _handlers(self, last: str) -> Iterator[tuple[str, type[Struct], Callable[..., None]]]:
-        """Yield each key that ends in `last`, the kind of its messages, and the method that takes them."""
+        """Yield each key that ends in `last`, with the kind of its messages and their handler."""
         keys = self.keys
         yield keys.stat("job"), JobStatus, self._take_figures
         yield keys.stat(f"run/{last}"), RunStatus, self._take_run
@@ -224,11 +224,11 @@ class JobModel:
 
     @property
     def is_known(self) -> bool:
-        """Whether enough is known to show it."""
+        """True once enough is known to show it."""
         return self.meta is not None and self.figures is not None
 
     def due_queries(self, now: float) -> list[str]:
-        """Return keys of curves of runs not seen from their beginnings, repeated until the curves come.
+        """Return keys of missing curves: of runs not seen from their beginnings; with retries.
 
         Runs that are over and silent jobs are left out: there is no coordinator to answer.
         """
@@ -297,7 +297,7 @@ class JobModels:
                 self._due.setdefault(job.name, now)
 
     def receive_answers(self, values: Mapping[str, bytes], now: float) -> None:
-        """Take the answers to a query by their keys: identities of jobs first, curves after their runs."""
+        """Take answers by their keys: identities of jobs first, curves after their runs."""
         curve, meta = AnyJob().stat("curve/*"), AnyJob().meta
         for key in sorted(values, key=lambda key: (not matches(meta, key), matches(curve, key))):
             if job := self._job(key):
@@ -322,7 +322,7 @@ class JobModels:
             job.link_lost(now)
 
     def due_queries(self, now: float) -> list[str]:
-        """Return patterns to query now: all at first and when the router is back, a job when it begins."""
+        """Return patterns to query: all at first and with a new link, a job when it begins."""
         if not self.is_linked:
             return []
         due = {name for name, at in self._due.items() if at <= now}
@@ -348,7 +348,7 @@ class JobModels:
         return sorted(job.name for job in self._jobs.values() if not job.is_readable)
 
     def _job(self, key: str) -> JobModel | None:
-        """Return the model of a key's job; a new one takes the place of the longest silent where many are."""
+        """Return the model of a key's job; a new one replaces the longest silent at `MAX_JOBS`."""
         name = job_of(key)
         if name is None:
             return None

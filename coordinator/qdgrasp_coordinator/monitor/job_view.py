@@ -33,12 +33,12 @@ class Series(Struct, frozen=True, kw_only=True):
 
     @property
     def latest_rate(self) -> float:
-        """The newest rate; 0 where there is none."""
+        """The newest rate; 0 for an empty series."""
         return self.rate[-1] if self.rate else 0.0
 
 
 class ThinnedSamples(Generic[Point]):
-    """Points in order of a position that only grows, thinned by halving; the first and the newest stay.
+    """Points in order of a growing position, thinned by halving; both ends always stay.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class JobView(Struct, frozen=True, kw_only=True):
 
     job: str
     state: str
-    """As its coordinator publishes: "starting", "running", "paused", "ending" or, at last, "cancelled".
+    """Published: "starting", "running", "paused", "ending" or, at last, "cancelled".
 
     Where it publishes nothing: "silent" (for an unknown reason: the router may be away), "gone" (it died) or
     "ended" (all runs are done, or failed).
@@ -130,7 +130,7 @@ class JobView(Struct, frozen=True, kw_only=True):
     meta: JobMeta
     figures: JobStatus
     runs: list[RunStatus]
-    """Runs in progress, and those that ended during the watch, in the order of their first messages."""
+    """Runs in progress, and those that ended during the watch; by their first messages."""
     workers: list[WorkerStatus]
     """Each once: on its way to another page one may stand on both."""
     events: list[JobEvent]
@@ -143,7 +143,7 @@ class JobView(Struct, frozen=True, kw_only=True):
     """Curves of the runs from their beginnings on, by their names."""
 
     def foremost(self, most: int) -> list[RunStatus]:
-        """Return so many of its runs, in their order; left out are those that are over, then silent ones."""
+        """Return so many of its runs, in order; first left out are finished, then silent ones."""
 
         def rank(number: int) -> tuple[bool, float, int]:
             run = self.runs[number]

@@ -27,9 +27,9 @@ from qdgrasp_coordinator.metrics.job_status import (
 from qdgrasp_coordinator.monitor.job_view import OVER, JobView
 
 MOST_RUNS = 256
-"""The most runs of a job with series: those in progress first, then those with the latest messages."""
+"""The most runs of a job with series: first those in progress, then the latest heard."""
 MOST_WORKERS = 512
-"""The most workers of a job with series: the first to join. `qdgrasp_workers` counts them all."""
+"""The most workers of a job with series, by their joins; `qdgrasp_workers` counts all."""
 UNHEARD_STATES = ("silent", *OVER)  # The states of a job without messages
 STATES = ("starting", "running", "paused", "ending", *UNHEARD_STATES)  # Of a job: see `JobView`
 RUN_LABELS = ("gripper", "object", "method", "protocol", "seed")  # Labels of `qdgrasp_run_info`
@@ -57,7 +57,7 @@ class MetricGroup(NamedTuple):
     specs: tuple[MetricSpec, ...]
 
     def metrics(self, found: Iterable[tuple[Sequence[str], Struct]]) -> Iterator[Metric]:
-        """Yield a metric for each spec, with a sample for each of the figures, given by label values."""
+        """Yield a metric for each spec, with a sample for each (label values, figures)."""
         all_found, words = list(found), meanings(self.figures)
         for spec in self.specs:
             samples = [(labels, float(getattr(figures, spec.field))) for labels, figures in all_found]

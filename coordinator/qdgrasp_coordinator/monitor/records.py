@@ -118,7 +118,7 @@ class FolderJob:
 
 
 class FolderIndex:
-    """The jobs in folders: runs, campaigns, runs of campaigns, and folders that hold such folders.
+    """The jobs in folders: runs, campaigns, runs of campaigns, and folders of such folders.
 
     Raises
     ------

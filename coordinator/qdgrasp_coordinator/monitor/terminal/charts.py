@@ -3,10 +3,10 @@
 A curve has two by four dots to each character in braille, one mark to each in ASCII.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 from rich.text import Text
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus
@@ -25,7 +25,7 @@ from qdgrasp_coordinator.monitor.terminal.text_tables import (
 from qdgrasp_protocol.text import counted
 
 BRAILLE = 0x2800
-DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+DOTS = np.array([(0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80)])
 """Bits of the dots of a braille character: four lines of two."""
 
 
@@ -39,41 +39,26 @@ def plot_curve(
     no gaps.
     """
     across, up = (2, 4) if glyphs.has_braille else (1, 1)
-    columns = sample_curve(places, values, width * across)
-    levels = [min(height * up - 1, int(value / most * height * up)) if most > 0 else 0 for value in columns]
-    dots: set[tuple[int, int]] = set()
+    rows = height * up
+    samples = sample_curve(places, values, width * across)
+    levels = [min(rows - 1, int(value / most * rows)) if most > 0 else 0 for value in samples]
+    dots = np.zeros((rows, width * across), bool)
     for column, level in enumerate(levels):
         before = levels[column - 1] if column else level
         low, high = sorted((level, before + (level > before) - (level < before)))
-        dots |= {(column, height * up - 1 - at) for at in range(low, high + 1)}
+        dots[rows - 1 - high : rows - low, column] = True
     if not glyphs.has_braille:
-        return ["".join("*" if (x, y) in dots else " " for x in range(width)) for y in range(height)]
-    return ["".join(_braille(dots, 2 * x, 4 * y) for x in range(width)) for y in range(height)]
+        return ["".join("*" if dot else " " for dot in line) for line in dots]
+    bits = np.einsum("yixj,ij->yx", dots.reshape(height, 4, width, 2), DOTS)
+    return ["".join(chr(BRAILLE + each) if each else " " for each in line) for line in bits.tolist()]
 
 
 def sample_curve(places: Sequence[float], values: Sequence[float], columns: int) -> list[float]:
-    """Return the values of a curve at so many even positions, on straight lines between its points."""
-    if not places:
-        return []
-    if len(places) == 1 or places[0] == places[-1]:
-        return [values[-1]]
-    first, wide = places[0], places[-1] - places[0]
-    return [
-        _interpolated(places, values, first + wide * column / max(1, columns - 1))
-        for column in range(columns)
-    ]
-
-
-def _interpolated(places: Sequence[float], values: Sequence[float], place: float) -> float:
-    after = min(len(places) - 1, max(1, bisect_right(places, place)))
-    wide = places[after] - places[after - 1]
-    share = min(1.0, (place - places[after - 1]) / wide) if wide > 0 else 1.0
-    return values[after - 1] + share * (values[after] - values[after - 1])
-
-
-def _braille(dots: set[tuple[int, int]], left: int, top: int) -> str:
-    bits = sum(DOTS[y][x] for y in range(4) for x in range(2) if (left + x, top + y) in dots)
-    return chr(BRAILLE + bits) if bits else " "
+    """Return a curve's values at so many even positions, interpolated between its points."""
+    if not places or places[0] == places[-1]:
+        return list(values[-1:])
+    found: list[float] = np.interp(np.linspace(places[0], places[-1], columns), places, values).tolist()
+    return found
 
 
 COLOURS = ("bright_black", "red", "yellow", "magenta", "cyan", "green")
@@ -163,7 +148,7 @@ def outcome_counts(figures: JobStatus) -> dict[str, int]:
 
 
 def split_width(numbers: Sequence[int], width: int) -> list[int]:
-    """Split a width in proportion to numbers; each part that is not 0 gets at least 1, if that fits."""
+    """Split a width in proportion to numbers; a part above 0 gets at least 1, if that fits."""
     total = sum(numbers)
     if not total:
         return [0] * len(numbers)
@@ -173,7 +158,7 @@ def split_width(numbers: Sequence[int], width: int) -> list[int]:
 
 
 def curve_charts(view: JobView) -> list[CurveChart]:
-    """Return the curves of a job: of its one run over evaluations, of several runs over the watched time.
+    """Return the curves of a job: of a single run over evaluations, of several over time.
 
     Runs that are resumed one by one have fewer evaluations meanwhile, so several are drawn over time.
     """
@@ -203,7 +188,7 @@ def curve_lines(view: JobView, width: int, height: int, glyphs: Glyphs) -> Lines
 
 
 def _chart_lines(one: CurveChart, width: int, height: int, glyphs: Glyphs) -> Lines:
-    """Return a title with the newest value, the curve with its scale, and its ends where there is room."""
+    """Return a title with the newest value, the curve with its scale, and its ends if tall."""
     most = max(one.values, default=0)
     has_feet = height >= 6  # lines
     room, rows = width - AXIS - 1, max(1, height - 1 - has_feet)
@@ -221,7 +206,7 @@ def _chart_lines(one: CurveChart, width: int, height: int, glyphs: Glyphs) -> Li
 
 
 def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
-    """Return what keeps a job from going on and what to do; where nothing does, the recorder's state."""
+    """Return the obstacle of a job and its remedy; without one, the recorder's state."""
     one = view.figures
     words = {
         "gone": f"its coordinator is gone since {span_text(view.silent)}: `qdgrasp resume DIR` goes on",

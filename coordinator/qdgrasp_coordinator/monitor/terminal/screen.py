@@ -6,6 +6,7 @@ A screen has exactly the lines and columns of its terminal. Keys select the job 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from textwrap import wrap
 from typing import Literal
 
 from rich.cells import cell_len
@@ -57,7 +58,7 @@ class ScreenSelection:
         return jobs.index(self.job) if self.job in jobs else 0
 
     def after_key(self, key: str, jobs: Sequence[str], page: int) -> "ScreenSelection":
-        """Return the selection after a key; `page` is the number of rows that a list shows at a time."""
+        """Return the selection after a key; `page` is the number of rows that a list shows."""
         if key in LIST_KEYS:
             return replace(self, list="" if self.list == LIST_KEYS[key] else LIST_KEYS[key], top=0)
         if key in BACK_KEYS:
@@ -158,17 +159,8 @@ def no_job_lines(shown: ScreenState, width: int, glyphs: Glyphs) -> Lines:
         "Begin one with `qdgrasp run --gripper panda --object mug`, or name another router with --connect.",
         "It is shown here as soon as it begins.",
     ]
-    return [Text(), *(line for words in sentences for line in wrapped_lines(words, width))]
-
-
-def wrapped_lines(words: str, width: int) -> Lines:
-    """Return a sentence in as many lines as it needs; a longer word is cut off."""
-    lines = [""]
-    for word in words.split():
-        if len(lines[-1]) + len(word) + 1 > width:
-            lines.append("")
-        lines[-1] += f" {word}" if lines[-1] else word
-    return [Text(line[:width]) for line in lines]
+    lines = [line for words in sentences for line in wrap(words, width, break_on_hyphens=False)]
+    return [Text(), *map(Text, lines)]
 
 
 def _head(shown: ScreenState, width: int, glyphs: Glyphs) -> Lines:

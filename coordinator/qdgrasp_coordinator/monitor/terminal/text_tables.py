@@ -46,7 +46,7 @@ ASCII = Glyphs("#", ".", "-", " | ", ">", "~", ".:-=+#", has_braille=False)
 
 
 def glyphs_of(console: Console, *, ascii_only: bool = False) -> Glyphs:
-    """Return the glyphs that a terminal can show; the font of Linux's own console has no braille."""
+    """Return the glyphs that a terminal can show; Linux's own console has no braille."""
     has_all = console.encoding.lower().startswith("utf") and os.environ.get("TERM") != "linux"
     return UNICODE if has_all and not ascii_only else ASCII
 
@@ -120,7 +120,7 @@ class TableColumn(Generic[Row]):
     """Columns of a greater rank are left out first, those of rank 0 never."""
     align: Literal["left", "right"] = "right"
     grows: bool = False
-    """Whether it takes the width that is left."""
+    """True for the column that takes the width that is left."""
 
 
 def table_lines(
@@ -151,7 +151,7 @@ def table_lines(
 
 
 def fitting_columns(columns: Sequence[TableColumn[Row]], width: int) -> list[TableColumn[Row]]:
-    """Return the columns that fit into a width; of the greatest rank the last one is left out first."""
+    """Return the columns that fit; of the greatest rank the last one is left out first."""
     kept = list(columns)
     while _total(kept) > width and any(column.rank for column in kept):
         kept.remove(max(reversed(kept), key=lambda column: column.rank))

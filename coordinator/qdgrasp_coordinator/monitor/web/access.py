@@ -32,7 +32,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""Headers of every answer: the page loads nothing from elsewhere, and no other page can embed it."""
+"""Headers of every answer: nothing is loaded from elsewhere, and no page embeds this one."""
 LOGIN_PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>qdgrasp: token</title><link rel="stylesheet" href="/static/style.css">
@@ -48,12 +48,12 @@ class Access:
     """Rules for the requests to a page."""
 
     local: bool
-    """Whether it is served on loopback only; requests under any other host name are then refused, so that a
-    page elsewhere cannot read it through a name that resolves to this machine (DNS rebinding)."""
+    """True on loopback: requests under another host name are then refused, so that a page elsewhere cannot
+    read it through a name that resolves to this machine (DNS rebinding)."""
     token: str = ""
     """Token that a request must have; empty: none."""
     is_generated: bool = False
-    """Whether the token is a new one, so that the user must be told."""
+    """True for a new token, which the user must be told."""
 
     @classmethod
     def at(cls, host: str, token: str = "") -> "Access":

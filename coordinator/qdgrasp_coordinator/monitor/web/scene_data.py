@@ -38,7 +38,7 @@ class LinkMesh(Struct, frozen=True):
 
     name: str
     finger: bool
-    """Whether its contact makes a success."""
+    """True if its contact makes a success."""
     mesh: TriangleMesh
 
 
@@ -63,7 +63,7 @@ class BrowserScene(Struct, frozen=True):
     synergies: Sequence[str]
     """Those of the hand; none where all driven joints close."""
     scored: bool
-    """Whether successes have trials, and thus an eta."""
+    """True if successes have trials, and thus an eta."""
     cell: float
     """The edge of a cell [m]; cell k reaches from (k - 0.5) to (k + 0.5) times it."""
     low: Sequence[float]
@@ -186,7 +186,7 @@ def _triangles(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Tr
 
 
 HEADER = struct.Struct("<4s5I")
-"""Mark, n, the next serial, whether there is more at once, the number of all voxels so far, origin."""
+"""Mark, n, next serial, 1 if there is more at once, number of all voxels, origin."""
 MARK = b"QDG2"
 COLUMNS = ("number", "eta", "cell", "synergy", "outcome")  # In the order of a page
 MAX_PAGE_VOXELS = 1 << 16  # The most voxels on a page: about 1 MiB
@@ -199,7 +199,7 @@ VOXEL = np.dtype([
 
 
 class VoxelPages:
-    """The best success of each cell, outcome and synergy: of the greatest eta, and of equals the earliest.
+    """The best success of each cell, outcome and synergy: of the greatest eta, then earliest.
 
     Serials number the voxels in the order in which they came or improved, so that a browser can ask for those
     that it lacks.
@@ -211,7 +211,7 @@ class VoxelPages:
         self.next = 0
         """The journal number up to which successes were inserted."""
         self.is_whole = True
-        """Whether these were all in the journal."""
+        """True if these were all in the journal."""
         self._kept = np.zeros(0, VOXEL)  # by serial
         self._serial = 0
 
@@ -263,7 +263,7 @@ def _keys(voxels: NDArray[np.void]) -> NDArray[np.int64]:
 
 
 def _best(voxels: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the best voxel of each key, by serial; one that came again, and no better, keeps its serial."""
+    """Return the best voxel of each key, by serial; a repeated one keeps its serial."""
     ordered = voxels[np.lexsort((voxels["serial"], voxels["number"], -voxels["eta"]))]
     _, first = np.unique(ordered["key"], return_index=True)
     kept: NDArray[np.void] = ordered[first]

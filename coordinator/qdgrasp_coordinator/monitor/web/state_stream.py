@@ -28,7 +28,7 @@ from qdgrasp_protocol.errors import UnknownName
 FRESH_SECONDS = 0.2  # seconds for which the views are reused
 MOST_WORKERS = 512  # The most workers of a job that are listed, those in trouble first; all are counted
 MOST_RUNS = 256
-"""The most runs of a job that are listed: those in progress first, then those with the latest messages."""
+"""The most runs of a job that are listed: first those in progress, then the latest heard."""
 URGENCY = ("stuck", "gone", "leaving", "working", "idle")  # The states of workers, those in trouble first
 
 
@@ -64,7 +64,7 @@ class JobState(Struct, frozen=True, kw_only=True):
     left: str
     """Time left in words."""
     obstacle: str
-    """Cause that keeps it from going on, in words; empty: there is none."""
+    """Cause that keeps it from going on, in words; empty: no obstacle."""
     meta: JobMeta
     figures: JobStatus
     runs: list[RunStatus]
@@ -103,7 +103,7 @@ class JobsState(Struct, frozen=True, kw_only=True):
     at: float
     """Seconds since 1970."""
     linked: bool
-    """Whether the router can be reached."""
+    """False while the router cannot be reached."""
     strangers: list[str]
     """Jobs whose coordinators are of another version of qdgrasp."""
     jobs: list[JobState]
@@ -162,7 +162,7 @@ class EventFrame(NamedTuple):
     number: int
     plain: bytes
     packed: bytes
-    """The same in blocks of DEFLATE that refer to nothing before them: they fit into any gzip stream."""
+    """The same in self-contained blocks of DEFLATE, which fit into any gzip stream."""
 
     @classmethod
     def of(cls, number: int, state: bytes) -> "EventFrame":
