@@ -71,14 +71,14 @@ class RunModel:
     def __init__(self, figures: RunStatus) -> None:
         self.figures = self._published = figures
         self.history = SeriesBuilder()
-        self.heard_at = 0.0
+        self.received_at = 0.0
         self._points = _curve_points()
 
     def update(self, published: RunStatus, now: float, *, is_over: bool = False) -> None:
         """Take new figures; while the run goes on, no count falls."""
         is_last = is_over or published.finished
         one = published if is_last else with_monotonic_counts(published, self.figures)
-        self.figures, self._published, self.heard_at = one, published, now
+        self.figures, self._published, self.received_at = one, published, now
         self.history.add(one, now)
         self._points.add(CurvePoint(one.evaluations, one.proposals, one.successes, one.cells, one.robust))
 
@@ -89,7 +89,7 @@ class RunModel:
     @property
     def rank(self) -> tuple[bool, float]:
         """Priority for being kept; the greatest is kept longest."""
-        return not self.figures.finished, self.heard_at
+        return not self.figures.finished, self.received_at
 
     def prepend(self, curve: GrowthCurve) -> None:
         """Take the curve so far; points of later messages are added to it."""
@@ -117,7 +117,7 @@ class JobModel:
         self.figures: JobStatus | None = None
         self.is_readable = True
         """False while its coordinator publishes figures of another version."""
-        self.heard_at = 0.0
+        self.received_at = 0.0
         """Time of its latest message [s since 1970]."""
         self._epoch_meta: JobMeta | None = None  # the latest that says which job it goes on with
         self._published: JobStatus | None = None
@@ -145,7 +145,7 @@ class JobModel:
                 except MessageError:  # of another version, or of no coordinator
                     self.is_readable = self.is_readable and key != self.keys.stat("job")
                     return False
-                self.heard_at = max(self.heard_at, now)
+                self.received_at = max(self.received_at, now)
                 return True
         return False
 
@@ -153,7 +153,7 @@ class JobModel:
         """Take that a coordinator's token appeared or ended; without a link all seem to end."""
         (self._coordinators.add if alive else self._coordinators.discard)(key)
         if alive:
-            self._gone_at, self.heard_at = None, now
+            self._gone_at, self.received_at = None, now
         elif is_linked and not self._coordinators:
             self._gone_at = now
 
@@ -232,7 +232,7 @@ class JobModel:
 
         Runs that are over and silent jobs are left out: there is no coordinator to answer.
         """
-        if now - self.heard_at > SILENCE_SECONDS:
+        if now - self.received_at > SILENCE_SECONDS:
             return []
         is_over = {run for run in self._missing_curves if self._runs[run].figures.finished}
         self._missing_curves = {run: at for run, at in self._missing_curves.items() if run not in is_over}
@@ -242,7 +242,7 @@ class JobModel:
 
     def state(self, now: float, *, is_linked: bool = True) -> str:
         """Return the state of the job as `JobView` names it."""
-        if self.figures and self._gone_at is None and now - self.heard_at <= SILENCE_SECONDS:
+        if self.figures and self._gone_at is None and now - self.received_at <= SILENCE_SECONDS:
             return self.figures.state
         is_gone = self._gone_at is not None or (is_linked and not self._coordinators)
         return end_state(self.figures) or ("gone" if is_gone else "silent")
@@ -260,7 +260,7 @@ class JobModel:
         return JobView(
             job=self.name,
             state=self.state(now, is_linked=is_linked),
-            silent=max(0.0, now - self.heard_at),
+            silent=max(0.0, now - self.received_at),
             meta=self.meta,
             figures=self.figures,
             runs=[run.figures for run in self._runs.values()],
@@ -354,6 +354,6 @@ class JobModels:
             return None
         if name not in self._jobs:
             if len(self._jobs) >= MAX_JOBS:
-                del self._jobs[min(self._jobs, key=lambda name: self._jobs[name].heard_at)]
+                del self._jobs[min(self._jobs, key=lambda name: self._jobs[name].received_at)]
             self._jobs[name] = JobModel(name)
         return self._jobs[name]

@@ -147,8 +147,8 @@ class JobView(Struct, frozen=True, kw_only=True):
 
         def rank(number: int) -> tuple[bool, float, int]:
             run = self.runs[number]
-            heard = self.histories[run.run].at[-1:] if run.run in self.histories else []
-            return not run.finished, max(heard, default=0.0), number
+            latest = self.histories[run.run].at[-1:] if run.run in self.histories else []
+            return not run.finished, max(latest, default=0.0), number
 
         return [self.runs[number] for number in sorted(sorted(range(len(self.runs)), key=rank)[-most:])]
 

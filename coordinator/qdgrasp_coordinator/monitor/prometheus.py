@@ -30,8 +30,8 @@ MOST_RUNS = 256
 """The most runs of a job with series: first those in progress, then the latest heard."""
 MOST_WORKERS = 512
 """The most workers of a job with series, by their joins; `qdgrasp_workers` counts all."""
-UNHEARD_STATES = ("silent", *OVER)  # The states of a job without messages
-STATES = ("starting", "running", "paused", "ending", *UNHEARD_STATES)  # Of a job: see `JobView`
+INACTIVE_STATES = ("silent", *OVER)  # The states of a job without messages
+STATES = ("starting", "running", "paused", "ending", *INACTIVE_STATES)  # Of a job: see `JobView`
 RUN_LABELS = ("gripper", "object", "method", "protocol", "seed")  # Labels of `qdgrasp_run_info`
 
 Family: TypeAlias = type[CounterMetricFamily] | type[GaugeMetricFamily]
@@ -118,7 +118,7 @@ class JobCollector(Collector):
 
     def __init__(self, views: Sequence[JobView]) -> None:
         self._views = views
-        self._heard = [view for view in views if view.state not in UNHEARD_STATES]
+        self._active = [view for view in views if view.state not in INACTIVE_STATES]
         self._runs = [((view.job, run.run), run) for view in views for run in view.foremost(MOST_RUNS)]
 
     def collect(self) -> Iterator[Metric]:
@@ -126,7 +126,7 @@ class JobCollector(Collector):
         yield from self._coordinators()
         yield from self._states()
         yield from JOB.metrics(((view.job,), view.figures) for view in self._views)
-        yield from COORDINATED_JOB.metrics(((view.job,), view.figures) for view in self._heard)
+        yield from COORDINATED_JOB.metrics(((view.job,), view.figures) for view in self._active)
         yield from self._run_infos()
         yield from RUN.metrics(self._runs)
         yield from self._workers()
@@ -145,7 +145,7 @@ class JobCollector(Collector):
     def _states(self) -> Iterator[Metric]:
         views, gauge, labels = self._views, GaugeMetricFamily, ("job", "state")
         words = "Whether the job's coordinator is heard."
-        yield self._gauge("up", words, lambda view: view.state not in UNHEARD_STATES)
+        yield self._gauge("up", words, lambda view: view.state not in INACTIVE_STATES)
         words = "Whether something keeps the job from going on."
         yield self._gauge("job_trouble", words, lambda view: bool(view.figures.obstacle))
         states = [((view.job, state), float(view.state == state)) for view in views for state in STATES]
@@ -167,11 +167,11 @@ class JobCollector(Collector):
         yield metric(CounterMetricFamily, "run_outcomes", words, (*RUN.labels, "outcome"), ends)
 
     def _workers(self) -> Iterator[Metric]:
-        counts = Counter((view.job, each.host, each.state) for view in self._heard for each in view.workers)
+        counts = Counter((view.job, each.host, each.state) for view in self._active for each in view.workers)
         words = f"Workers on a host: {meanings(WorkerStatus)['state']}"
         samples = [(labels, float(n)) for labels, n in counts.items()]
         yield metric(GaugeMetricFamily, "workers", words, ("job", "host", "state"), samples)
-        shown = [(view.job, each) for view in self._heard for each in view.workers[:MOST_WORKERS]]
+        shown = [(view.job, each) for view in self._active for each in view.workers[:MOST_WORKERS]]
         yield from WORKER.metrics(((job, each.wid, each.host), each) for job, each in shown)
 
     def _gauge(self, name: str, words: str, value: Callable[[JobView], float], unit: str = "") -> Metric:

@@ -91,7 +91,7 @@ MUGS = Keys("mugs")
 START = 1000.0
 
 
-def told(jobs: JobModels, now: float, **shown: Struct) -> None:
+def publish(jobs: JobModels, now: float, **shown: Struct) -> None:
     """Let jobs hear something of the job mugs: `stat_run_a=...` on stat/run/a."""
     for place, struct in shown.items():
         jobs.receive(f"{MUGS.root}/{place.replace('_', '/')}", to_json(struct), now)
@@ -108,7 +108,7 @@ def watching(now: float = START, answers: Mapping[str, bytes] | None = None) -> 
     return jobs
 
 
-def seen(jobs: JobModels, now: float) -> JobView:
+def view_of(jobs: JobModels, now: float) -> JobView:
     (view,) = jobs.views(now)
     return view
 
@@ -134,7 +134,7 @@ def job(
     jobs.coordinator_changed(keys.coordinator_token(2), True, 1000.0)
     names = [f"panda-mug-aimed-s{number}" for number in range(runs)]
 
-    def heard(what: str, struct: object) -> None:
+    def send(what: str, struct: object) -> None:
         jobs.receive(f"{keys.root}/{what}", to_json(struct), 1000.0 + second)  # type: ignore[arg-type]
 
     for second in range(1, seconds + 1):
@@ -142,19 +142,19 @@ def job(
         counts = {"evaluations": found, "successes": found // 9, "cells": found // 50, "robust": found // 30}
         all_counts = counts | {"grasps": found // 12, "simulated": found // 2, "overlaps": found // 3}
         rest = {"budget": 100_000, "seconds": float(second), "rate": 83.0, "recorders": 1}
-        heard("stat/job", figures(**({"job": name, "runs": runs} | all_counts | rest | more)))
+        send("stat/job", figures(**({"job": name, "runs": runs} | all_counts | rest | more)))
         for one in names[: 2 if runs > 1 else 1]:
-            heard(f"stat/run/{one}", run(one, **counts))
-    heard("meta", meta(name, runs))
+            send(f"stat/run/{one}", run(one, **counts))
+    send("meta", meta(name, runs))
     for one in names[:1]:
         points = [CurvePoint(n, 4 * n, n // 9, n // 50, n // 30) for n in range(0, 83 * seconds, 83)]
         jobs.receive_answers(
             {keys.stat(f"curve/{one}"): to_json(GrowthCurve(run=one, points=points))}, 1000.0 + seconds
         )
     for page in team(*workers):
-        heard(f"stat/team/{page.page}", page)
+        send(f"stat/team/{page.page}", page)
     for one in events or [event(n, f"Worker {n} joined.", kind="worker") for n in range(20)]:
-        heard(f"event/{one.kind}", one)
+        send(f"event/{one.kind}", one)
     (view,) = jobs.views(1000.0 + seconds + later)
     return view
 

@@ -98,27 +98,24 @@ class Access:
         return any(hmac.compare_digest(each.encode(), self.token.encode()) for each in tokens)
 
 
-class AccessMiddleware:
-    """Refuses requests by the rules, and adds `SECURITY_HEADERS` to every answer."""
+def guard(app: ASGIApp, access: Access) -> ASGIApp:
+    """Make an application refuse requests by the rules, and add `SECURITY_HEADERS` to every answer."""
 
-    def __init__(self, app: ASGIApp, access: Access) -> None:
-        self._app = app
-        self._access = access
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             return
 
-        async def guarded(message: Message) -> None:
+        async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 headers.update(SECURITY_HEADERS)
                 headers.setdefault("Cache-Control", "no-cache")
             await send(message)
 
-        answer = self._access.refusal(Request(scope)) or self._app
-        await answer(scope, receive, guarded)
+        response = access.refusal(Request(scope)) or app
+        await response(scope, receive, send_guarded)
+
+    return answer
 
 
 def is_loopback(host: str) -> bool:

@@ -70,10 +70,10 @@ class TtlCache(Generic[T]):
         QdgraspError
             There is none: as `query`, or another thread has waited for it for long.
         """
-        is_due = self._clock() >= self._due
-        if is_due and self._lock.acquire(timeout=WAIT_SECONDS if self._answer is None else 0):
+        if self._is_due and self._lock.acquire(timeout=WAIT_SECONDS if self._answer is None else 0):
             try:
-                self._renew()
+                if self._is_due:  # no other thread has queried meanwhile
+                    self._renew()
             finally:
                 self._lock.release()
         answer, failure = self._answer, self._failure
@@ -81,10 +81,11 @@ class TtlCache(Generic[T]):
             raise (failure or NoReply("It is asked for already; try again.")).with_traceback(None)
         return answer
 
+    @property
+    def _is_due(self) -> bool:
+        return self._clock() >= self._due
+
     def _renew(self) -> None:
-        """Query, unless another thread has done so meanwhile."""
-        if self._clock() < self._due:
-            return
         try:
             answer = self._query(self._answer)
         except QdgraspError as error:

@@ -19,7 +19,7 @@ from starlette.routing import Mount
 from starlette.staticfiles import StaticFiles
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from qdgrasp_coordinator.monitor.web.access import Access, AccessMiddleware
+from qdgrasp_coordinator.monitor.web.access import Access, guard
 from qdgrasp_coordinator.monitor.web.routes import Site
 from qdgrasp_protocol.errors import EndpointError, InputError, QdgraspError
 from qdgrasp_protocol.process import Stop
@@ -82,7 +82,7 @@ def application(site: Site, access: Access) -> Starlette:
     return Starlette(
         routes=[*site.routes, Mount("/static", StaticFiles(directory=STATIC))],
         middleware=[
-            Middleware(AccessMiddleware, access=access),
+            Middleware(guard, access=access),
             Middleware(GZipMiddleware, minimum_size=1024, compresslevel=5),
         ],
         exception_handlers={QdgraspError: _error_response},

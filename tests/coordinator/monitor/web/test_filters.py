@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 from tests import browser
+from tests.browser import expect
 from tests.common import PATIENCE
 from tests.coordinator.monitor.web.conftest import free_port, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, HandMadeRecords, finds
-from tests.coordinator.monitor.web.test_scene import expect
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.scene import Scene, Synergy

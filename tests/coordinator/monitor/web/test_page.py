@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 from tests import browser
-from tests.browser import PATIENCE, PHONE, figure, number
+from tests.browser import PATIENCE, PHONE, expect, figure, number
 from tests.coordinator.monitor.sample_jobs import curve, run, values
 from tests.coordinator.monitor.web.conftest import free_port, serving
 from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, FakeLibrary
@@ -52,12 +52,6 @@ FOCUSED = """() => {
   const node = document.activeElement;
   return [node.id || node.closest("[id]")?.id, getComputedStyle(node).outlineStyle];
 }"""
-
-
-def expect(what: Any) -> Any:
-    from playwright.sync_api import expect as expected
-
-    return expected(what)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests import browser
+from tests.browser import expect
 from tests.common import PATIENCE
 from tests.coordinator.monitor.web.conftest import free_port, serving
 from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, HandMadeRecords, finds, random_finds
@@ -95,12 +96,6 @@ def visited(chromium: Any, place: str, **looks: Any) -> Iterator[Page]:
     yield visit.page
     visit.context.close()
     assert [words for words in visit.complaints if not (BARE in place and FAVICON in words)] == []
-
-
-def expect(what: Any) -> Any:
-    from playwright.sync_api import expect as expected
-
-    return expected(what)
 
 
 def test_all_cells_are_there_and_counted_by_kind(page: Page) -> None:

@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 from tests import browser
-from tests.browser import PHONE
+from tests.browser import PHONE, expect
 from tests.coordinator.monitor.web.conftest import free_port, serving_site
 from tests.coordinator.monitor.web.test_page import CONTRAST, FOCUSED, NAMELESS
-from tests.coordinator.monitor.web.test_scene import expect
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 
