@@ -250,10 +250,7 @@ class JobModel:
     def view(self, now: float, *, is_linked: bool = True) -> JobView | None:
         """Return the job as it is shown; None while too little is known.
 
-        Parameters
-        ----------
-        is_linked
-            Whether the router is reachable, and has been for a while.
+        `is_linked` is True where the router can be reached, and could for a while.
         """
         if self.meta is None or self.figures is None:
             return None
@@ -273,13 +270,7 @@ class JobModel:
 
 
 class JobModels:
-    """All jobs from which messages came.
-
-    Parameters
-    ----------
-    keys
-        Keys of the job that is watched; None: all jobs.
-    """
+    """All jobs from which messages came; with keys, only the job of these is queried."""
 
     def __init__(self, keys: Keys | None = None) -> None:
         self._keys = keys or AnyJob()

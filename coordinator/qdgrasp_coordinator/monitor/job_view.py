@@ -40,14 +40,7 @@ class Series(Struct, frozen=True, kw_only=True):
 class ThinnedSamples(Generic[Point]):
     """Points in order of a growing position, thinned by halving; both ends always stay.
 
-    Parameters
-    ----------
-    position
-        Gives the position of a point.
-    most
-        The most points.
-    step
-        The least distance between two points at first.
+    `position` gives the position of a point; at first points are at least `step` apart.
     """
 
     def __init__(self, position: Callable[[Point], float], most: int, step: float = 0.0) -> None:
@@ -93,14 +86,9 @@ class SeriesBuilder:
     def _rate(self, seconds: float, fresh: float) -> float:
         """Return the counted evaluations per second over the `WINDOW` before now.
 
-        It is the mean since the coordinator began where the count `MIN_WINDOW` ago is not known.
-
-        Parameters
-        ----------
-        seconds
-            Since the coordinator began; less than before: another one did.
-        fresh
-            Counted evaluations since then, replayed ones apart.
+        `seconds` is the time since the coordinator began, less than before where another one did, and `fresh`
+        the counted evaluations since then, replayed ones apart. Their quotient is the rate where the count
+        `MIN_WINDOW` ago is not known.
         """
         recent = self._recent
         if recent and seconds < recent[-1][0]:

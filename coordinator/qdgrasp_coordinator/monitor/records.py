@@ -35,10 +35,8 @@ COMMANDS = (
 class JournalId(NamedTuple):
     """Identity of a journal: in another one of the same job and run, numbers are of other rows."""
 
-    scene: str
-    """sha256 of the scene bundle."""
-    began: float
-    """Time of its beginning [s since 1970]."""
+    scene: str  # sha256 of the scene bundle
+    began: float  # Time of its beginning [s since 1970]
 
 
 class RunLocation(NamedTuple):
@@ -59,12 +57,9 @@ class RecordPage:
     """Nominal successes of a run, in journal order."""
 
     origin: JournalId
-    found: SuccessTable
-    """(n,)."""
-    next: int
-    """The journal number from which to read on."""
-    rows: int
-    """Number of rows in the journal."""
+    found: SuccessTable  # (n,)
+    next: int  # The journal number from which to read on
+    rows: int  # Number of rows in the journal
 
     def is_last(self, first: int) -> bool:
         """Return whether nothing is left to read for now, if this was read from number `first` on.
@@ -120,10 +115,7 @@ class FolderJob:
 class FolderIndex:
     """The jobs in folders: runs, campaigns, runs of campaigns, and folders of such folders.
 
-    Raises
-    ------
-    NoFolder, FolderError
-        A path is no folder, or holds no job.
+    A path that is no folder, or holds no job, raises a `FolderError`.
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:

@@ -46,12 +46,9 @@ QUIT_KEYS = frozenset({"q", "Q"})
 class ScreenSelection:
     """The selected job and list."""
 
-    job: str = ""
-    """Its name; where there is no such job, the first one is selected."""
-    list: ListName = ""
-    """The list that has all the room; empty: each has some."""
-    top: int = 0
-    """The number of the first row of that list."""
+    job: str = ""  # Its name; where there is no such job, the first one is selected
+    list: ListName = ""  # The list that has all the room; empty: each has some
+    top: int = 0  # The number of the first row of that list
 
     def index(self, jobs: Sequence[str]) -> int:
         """Return the index of the selected job among these names."""
@@ -89,12 +86,9 @@ class ScreenState:
 
     views: Sequence[JobView]
     endpoint: str
-    at: datetime
-    """Local time."""
-    is_linked: bool = True
-    """False while the router cannot be reached."""
-    foreign_jobs: Sequence[str] = ()
-    """Jobs of another version."""
+    at: datetime  # Local time
+    is_linked: bool = True  # False while the router cannot be reached
+    foreign_jobs: Sequence[str] = ()  # Jobs of another version
 
     @property
     def names(self) -> list[str]:

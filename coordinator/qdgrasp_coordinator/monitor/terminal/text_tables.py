@@ -112,15 +112,11 @@ class TableColumn(Generic[Row]):
     """A column of a table."""
 
     title: str
-    value: Callable[[Row], str]
-    """Gives the printable text of a row."""
-    width: int
-    """The least width."""
-    rank: int = 0
-    """Columns of a greater rank are left out first, those of rank 0 never."""
+    value: Callable[[Row], str]  # Gives the printable text of a row
+    width: int  # The least width
+    rank: int = 0  # Columns of a greater rank are left out first, those of rank 0 never
     align: Literal["left", "right"] = "right"
-    grows: bool = False
-    """True for the column that takes the width that is left."""
+    grows: bool = False  # True for the column that takes the width that is left
 
 
 def table_lines(

@@ -48,8 +48,10 @@ class Access:
     """Rules for the requests to a page."""
 
     local: bool
-    """True on loopback: requests under another host name are then refused, so that a page elsewhere cannot
-    read it through a name that resolves to this machine (DNS rebinding)."""
+    """True on loopback: only requests under a name of this machine are answered.
+
+    Otherwise a page elsewhere could read it through a name that resolves to this machine (DNS rebinding).
+    """
     token: str = ""
     """Token that a request must have; empty: none."""
     is_generated: bool = False
@@ -99,7 +101,7 @@ class Access:
 
 
 def guard(app: ASGIApp, access: Access) -> ASGIApp:
-    """Make an application refuse requests by the rules, and add `SECURITY_HEADERS` to every answer."""
+    """Make an application refuse requests by the rules, and add the security headers."""
 
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":

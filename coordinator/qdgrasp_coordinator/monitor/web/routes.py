@@ -42,10 +42,8 @@ class JobListing(Struct, frozen=True):
     """A job in a folder."""
 
     job: str
-    folder: str
-    """Its path, printable."""
-    runs: list[str]
-    """Names of its runs that were begun."""
+    folder: str  # Its path, printable
+    runs: list[str]  # Names of its runs that were begun
 
 
 def live_site(feed: Feed, runs: RunCaches) -> Site:

@@ -40,14 +40,8 @@ T = TypeVar("T")
 class TtlCache(Generic[T]):
     """The latest answer to a query that may take long; any thread may get it.
 
-    Parameters
-    ----------
-    query
-        Gives the answer; it is called with the one before, None at first.
-    fresh
-        Gives the time for which an answer is good [s].
-    clock
-        Gives the time [s].
+    `query` is called with the answer before, None at first; `fresh` gives the time for which an answer is
+    good [s], and `clock` the time [s].
     """
 
     def __init__(
@@ -65,10 +59,7 @@ class TtlCache(Generic[T]):
     def get(self) -> T:
         """Return the answer, renewed where it is due; the one before while there is no new one.
 
-        Raises
-        ------
-        QdgraspError
-            There is none: as `query`, or another thread has waited for it for long.
+        Without any, raise what `query` raised, or `NoReply` while another thread waits for it for long.
         """
         if self._is_due and self._lock.acquire(timeout=WAIT_SECONDS if self._answer is None else 0):
             try:
@@ -183,12 +174,8 @@ class RunCache:
 class RunCaches:
     """Data of all runs, as the page reads them; `clock` gives the time [s].
 
-    The methods may take a while; any thread may call them.
-
-    Raises
-    ------
-    QdgraspError
-        From any method: there is no such job, run or grasp, or no answer.
+    The methods may take a while; any thread may call them. They raise a `QdgraspError` where there is no such
+    job, run or grasp, or no answer.
     """
 
     def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:

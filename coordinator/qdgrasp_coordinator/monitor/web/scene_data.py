@@ -27,26 +27,22 @@ from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, trial_count
 class TriangleMesh(Struct, frozen=True):
     """A mesh for the browser."""
 
-    positions: str
-    """(v, 3) little-endian float32 as base64."""
-    indices: str
-    """(f, 3) little-endian uint32 as base64, counter-clockwise from outside."""
+    positions: str  # (v, 3) little-endian float32 as base64
+    indices: str  # (f, 3) little-endian uint32 as base64, counter-clockwise from outside
 
 
 class LinkMesh(Struct, frozen=True):
     """One link of a hand, with all of its collision shapes."""
 
     name: str
-    finger: bool
-    """True if its contact makes a success."""
+    finger: bool  # True if its contact makes a success
     mesh: TriangleMesh
 
 
 class SuccessKind(Struct, frozen=True):
     """A kind of success."""
 
-    outcome: int
-    """The `Outcome` by its number."""
+    outcome: int  # The `Outcome` by its number
     words: str
     colour: str
 
@@ -56,62 +52,38 @@ class BrowserScene(Struct, frozen=True):
 
     gripper: str
     object: str
-    base: str
-    """The hand's root link, which poses are of."""
-    com_in_mesh: Sequence[float]
-    """(3,): the centre of mass in the mesh file's frame [m]; the axes are the same."""
-    synergies: Sequence[str]
-    """Those of the hand; none where all driven joints close."""
-    scored: bool
-    """True if successes have trials, and thus an eta."""
-    cell: float
-    """The edge of a cell [m]; cell k reaches from (k - 0.5) to (k + 0.5) times it."""
-    low: Sequence[float]
-    """(3,): the corners of the object's bounding box."""
+    base: str  # The hand's root link, which poses are of
+    com_in_mesh: Sequence[float]  # (3,): centre of mass in the mesh file's frame [m]; the same axes
+    synergies: Sequence[str]  # Those of the hand; none where all driven joints close
+    scored: bool  # True if successes have trials, and thus an eta
+    cell: float  # The edge of a cell [m]; cell k reaches from (k - 0.5) to (k + 0.5) times it
+    low: Sequence[float]  # (3,): the corners of the object's bounding box
     high: Sequence[float]
-    reach: float
-    """Greatest distance of the hand's base from that box [m]."""
-    kinds: Sequence[SuccessKind]
-    """From worst to best."""
-    mesh: TriangleMesh
-    """Of the object."""
-    links: Sequence[LinkMesh]
-    """Of the hand."""
-    origin: int = 0
-    """The same number as that of its voxels."""
+    reach: float  # Greatest distance of the hand's base from that box [m]
+    kinds: Sequence[SuccessKind]  # From worst to best
+    mesh: TriangleMesh  # Of the object
+    links: Sequence[LinkMesh]  # Of the hand
+    origin: int = 0  # The same number as that of its voxels
 
 
 class GraspView(Struct, frozen=True):
     """Everything known of one success."""
 
-    number: int
-    """In the journal."""
+    number: int  # In the journal
     outcome: int
     fitness: float
-    words: str
-    """Meaning of the outcome."""
-    eta: float | None
-    """The estimated probability of transfer; None where not all trials are recorded."""
-    synergy: str
-    """Name of the synergy; empty: all driven joints close."""
-    cell: Sequence[int]
-    """(3,)."""
-    base: str
-    """The hand's root link."""
-    position: Sequence[float]
-    """(3,): of the hand's root link [m]."""
-    position_in_mesh: Sequence[float]
-    """(3,): the same in the mesh file's frame [m]."""
-    quaternion: Sequence[float]
-    """(4,): of the hand's root link, xyzw; in both frames."""
-    frame: list[float]
-    """Frame of the hand's root link, 4 x 4, row by row."""
-    joints: dict[str, float]
-    """Positions of the finger joints [rad or m]."""
-    links: dict[str, list[float]]
-    """Each link's frame, 4 x 4, row by row."""
-    commands: Sequence[str]
-    """Commands that show and draw it."""
+    words: str  # Meaning of the outcome
+    eta: float | None  # The estimated probability of transfer; None where not all trials are recorded
+    synergy: str  # Name of the synergy; empty: all driven joints close
+    cell: Sequence[int]  # (3,)
+    base: str  # The hand's root link
+    position: Sequence[float]  # (3,): of the hand's root link [m]
+    position_in_mesh: Sequence[float]  # (3,): the same in the mesh file's frame [m]
+    quaternion: Sequence[float]  # (4,): of the hand's root link, xyzw; in both frames
+    frame: list[float]  # Frame of the hand's root link, 4 x 4, row by row
+    joints: dict[str, float]  # Positions of the finger joints [rad or m]
+    links: dict[str, list[float]]  # Each link's frame, 4 x 4, row by row
+    commands: Sequence[str]  # Commands that show and draw it
 
 
 SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)

@@ -36,10 +36,8 @@ class WorkersState(Struct, frozen=True, kw_only=True):
     """The workers of a job."""
 
     total: int
-    states: dict[str, int]
-    """Numbers of workers by state."""
-    workers: list[WorkerStatus]
-    """At most `MOST_WORKERS` of them."""
+    states: dict[str, int]  # Numbers of workers by state
+    workers: list[WorkerStatus]  # At most `MOST_WORKERS` of them
 
     @classmethod
     def of(cls, workers: list[WorkerStatus]) -> "WorkersState":
@@ -57,22 +55,15 @@ class JobState(Struct, frozen=True, kw_only=True):
 
     job: str
     state: str
-    silent: float
-    """Seconds since the last message of its coordinator."""
-    speed: float
-    """Latest counted evaluations per second."""
-    left: str
-    """Time left in words."""
-    obstacle: str
-    """Cause that keeps it from going on, in words; empty: no obstacle."""
+    silent: float  # Seconds since the last message of its coordinator
+    speed: float  # Latest counted evaluations per second
+    left: str  # Time left in words
+    obstacle: str  # Cause that keeps it from going on, in words; empty: no obstacle
     meta: JobMeta
     figures: JobStatus
-    runs: list[RunStatus]
-    """In progress, or ended during the watch; at most `MOST_RUNS`."""
-    speeds: dict[str, float]
-    """Speeds of the runs, by their names."""
-    lefts: dict[str, str]
-    """Time left of the runs."""
+    runs: list[RunStatus]  # In progress, or ended during the watch; at most `MOST_RUNS`
+    speeds: dict[str, float]  # Speeds of the runs, by their names
+    lefts: dict[str, str]  # Time left of the runs
     team: WorkersState
     events: list[JobEvent]
 
@@ -100,12 +91,9 @@ class JobState(Struct, frozen=True, kw_only=True):
 class JobsState(Struct, frozen=True, kw_only=True):
     """All jobs as they are sent twice a second."""
 
-    at: float
-    """Seconds since 1970."""
-    linked: bool
-    """False while the router cannot be reached."""
-    strangers: list[str]
-    """Jobs whose coordinators are of another version of qdgrasp."""
+    at: float  # Seconds since 1970
+    linked: bool  # False while the router cannot be reached
+    strangers: list[str]  # Jobs whose coordinators are of another version of qdgrasp
     jobs: list[JobState]
 
 
@@ -161,8 +149,7 @@ class EventFrame(NamedTuple):
 
     number: int
     plain: bytes
-    packed: bytes
-    """The same in self-contained blocks of DEFLATE, which fit into any gzip stream."""
+    packed: bytes  # The same in self-contained blocks of DEFLATE, which fit into any gzip stream
 
     @classmethod
     def of(cls, number: int, state: bytes) -> "EventFrame":
@@ -173,15 +160,7 @@ class EventFrame(NamedTuple):
 
 
 class Broadcast:
-    """Frames for all browsers.
-
-    Parameters
-    ----------
-    state
-        Gives the state in one line; it is called in a thread.
-    interval
-        Seconds between frames.
-    """
+    """Frames for all browsers, one per interval [s]; `state` is called in a thread."""
 
     def __init__(self, state: Callable[[], bytes], interval: float = INTERVAL) -> None:
         self.watchers = 0

@@ -2,7 +2,7 @@
 
 import { element, setAttribute, setText, updateChildren } from "./dom.js";
 import { count, rate, short, time } from "./format.js";
-import { RecordedCurves } from "./run_queries.js";
+import { fetchJson, RecordedCurves } from "./run_queries.js";
 
 /** A uPlot in the page's colours, with a legend in words that shows the values under the cursor. */
 class Plot {
@@ -165,12 +165,8 @@ export class CurvePanels {
     if (changed) this.curves = null;
     this.job = job;
     this.asked = performance.now();
-    try {
-      const answer = await fetch(`${this.api}/jobs/${encodeURIComponent(job)}/curves`);
-      if (answer.ok && this.job === job) this.curves = await answer.json();
-    } catch {
-      // the link says that the monitor is away; it is asked again
-    }
+    const curves = await fetchJson(`${this.api}/jobs/${encodeURIComponent(job)}/curves`);
+    if (curves && this.job === job) this.curves = curves;
   }
 
   #drawFound(job, run, { curves }) {

@@ -1,5 +1,15 @@
 // Queries for what only the recorder knows: runs that ended before the monitor started, and their curves.
 
+/** The JSON at an address; null where there is no answer: the connection's status shows that the monitor is away. */
+export async function fetchJson(address) {
+  try {
+    const answer = await fetch(address);
+    return answer.ok ? await answer.json() : null;
+  } catch {
+    return null;
+  }
+}
+
 const SECONDS = 15; // between two queries for the same
 const MOST = 64; // curves that are kept
 
@@ -26,15 +36,11 @@ export class RecordedRuns {
     const since = performance.now() - known.asked;
     if (since < 1000 || (since < 1000 * SECONDS && known.done === done)) return;
     this.#known.set(job, { ...known, asked: performance.now(), done });
-    try {
-      const answer = await fetch(`${this.api}/jobs/${encodeURIComponent(job)}/runs`);
-      if (!answer.ok) return; // no recorder, or a finished one: the published ones are shown
-      const { runs, uncounted } = await answer.json();
-      Object.assign(this.#known.get(job), { runs }, uncounted ? { done: -1 } : {}); // uncounted ones: ask again soon
-      this.onnews();
-    } catch {
-      // the link says that the monitor is away
-    }
+    const answer = await fetchJson(`${this.api}/jobs/${encodeURIComponent(job)}/runs`);
+    if (!answer) return; // no recorder, or a finished one: the published ones are shown
+    const { runs, uncounted } = answer;
+    Object.assign(this.#known.get(job), { runs }, uncounted ? { done: -1 } : {}); // uncounted ones: ask again soon
+    this.onnews();
   }
 }
 
@@ -59,11 +65,6 @@ export class RecordedCurves {
     const curve = { asked: performance.now(), points: [] };
     this.#known.set(address, curve);
     if (this.#known.size > MOST) this.#known.delete(this.#known.keys().next().value);
-    try {
-      const answer = await fetch(address);
-      if (answer.ok) curve.points = (await answer.json()).points;
-    } catch {
-      // the link says that the monitor is away
-    }
+    curve.points = (await fetchJson(address))?.points ?? [];
   }
 }
