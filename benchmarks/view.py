@@ -66,7 +66,7 @@ def turned(page: Any, button: str | None = None) -> dict[str, float | str]:
     return {
         "frames_per_second": round(1000 / float(times.mean()), 1),
         "p95_frame_ms": round(float(np.quantile(times, 0.95)), 1),
-        "drawn_with": page.locator("#scene").get_attribute("data-pace"),
+        "drawn_with": page.locator("#scene").get_attribute("data-quality"),
     }
 
 

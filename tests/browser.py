@@ -40,6 +40,13 @@ def launched() -> Iterator[Any]:
         browser.close()
 
 
+def expect(what: Any) -> Any:
+    """Playwright's assertions about a part of a page, imported where there is a browser."""
+    from playwright.sync_api import expect as expected
+
+    return expected(what)
+
+
 class Visit:
     """A window of the browser, and what it complained of."""
 

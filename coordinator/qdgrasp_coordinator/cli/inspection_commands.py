@@ -243,7 +243,7 @@ def view(
     host, port = host_and_port(web)
     with lifetime("qdgrasp-view") as stop:
         from qdgrasp_coordinator.monitor.records import FolderIndex
-        from qdgrasp_coordinator.monitor.web.routes import FolderSite
+        from qdgrasp_coordinator.monitor.web.routes import folder_site
         from qdgrasp_coordinator.monitor.web.server import serve
 
         def opened(address: str) -> None:
@@ -251,7 +251,7 @@ def view(
             if not no_open and has_desktop(os.environ):
                 threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
-        serve(FolderSite(FolderIndex(directories)), host, port, "", stop, opened)
+        serve(folder_site(FolderIndex(directories)), host, port, "", stop, opened)
     raise typer.Exit(stop.exit_code)
 
 

@@ -10,7 +10,8 @@ import msgspec
 import typer
 
 from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.monitor.feed import reachable_jobs, summary_lines, utc_now
+from qdgrasp_coordinator.metrics.job_status import utc_now
+from qdgrasp_coordinator.monitor.feed import reachable_jobs, summary_lines
 from qdgrasp_protocol import cli_support, messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName

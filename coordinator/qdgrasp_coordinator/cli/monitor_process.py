@@ -96,7 +96,7 @@ def monitor(
         if as_json:
             typer.echo(to_json(views, endpoint))
         else:
-            print_look(views, endpoint, there.strangers, ascii_only=ascii_only)
+            print_look(views, endpoint, there.foreign_jobs, ascii_only=ascii_only)
         return
     with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
         credentials = Credentials.find(security, Role.MONITOR)
@@ -166,11 +166,11 @@ def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]
 
 
 def print_look(
-    views: Sequence[JobView], endpoint: str, strangers: Sequence[str], *, ascii_only: bool
+    views: Sequence[JobView], endpoint: str, foreign_jobs: Sequence[str], *, ascii_only: bool
 ) -> None:
     """Print one look at jobs."""
     console = Console(highlight=False)
-    shown = ScreenState(views, endpoint, local_time(), strangers=strangers)
+    shown = ScreenState(views, endpoint, local_time(), foreign_jobs=foreign_jobs)
     for line in report_lines(shown, console.width, glyphs_of(console, ascii_only=ascii_only)):
         console.print(line, soft_wrap=True)
 
@@ -186,12 +186,12 @@ def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
     """Serve the page; what it needs is loaded for it alone."""
     from qdgrasp_coordinator.monitor.records import BusRecords
-    from qdgrasp_coordinator.monitor.web.routes import LiveSite
+    from qdgrasp_coordinator.monitor.web.routes import live_site
     from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
     from qdgrasp_coordinator.monitor.web.server import serve as serve_site
 
     host, port = host_and_port(web)
-    site = LiveSite(feed, RunCaches(BusRecords(bus)))
+    site = live_site(feed, RunCaches(BusRecords(bus)))
     serve_site(site, host, port, token, stop, lambda address: log.info("the page is open", address=address))
 
 

@@ -1,11 +1,9 @@
-"""A job as it is shown: on a terminal, on the page, as metrics, as JSON.
-
-Time series say how its figures grew while it was watched, in points few enough to be drawn at once.
-"""
+"""View of a job as every display shows it, and the time series of its figures."""
 
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from operator import itemgetter
+from typing import Any, Generic, TypeVar
 
 from msgspec import Struct
 
@@ -13,169 +11,138 @@ from qdgrasp_coordinator.metrics.job_status import JobEvent, JobMeta, JobStatus,
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 
 MAX_POINTS = 600  # The most points of a series
-STEP = 1.0  # seconds between two points of a young one
-MIN_POINTS = 10.0  # seconds of which a rate is to be at least
-WINDOW = 30.0  # seconds over which a rate is taken: results are told generation by generation
+STEP = 1.0  # seconds between two points of a young series
+MIN_WINDOW = 10.0  # seconds over which a rate is taken at least
+WINDOW = 30.0  # seconds over which a rate is taken: results come generation by generation
 
-Kind = TypeVar("Kind")
+Point = TypeVar("Point")
 
 
 class Series(Struct, frozen=True, kw_only=True):
-    """How the figures of a job or a run grew, in columns of one length, at most `MOST`."""
+    """Figures of a job or a run over time, in columns of one length, at most `MAX_POINTS`."""
 
     at: list[float]
-    """When, in seconds since 1970."""
+    """Seconds since 1970."""
     evaluations: list[int]
     rate: list[float]
-    """Counted evaluations per second over the half minute before, replayed ones apart."""
+    """Counted evaluations per second over the `WINDOW` before, replayed ones apart."""
     successes: list[int]
     cells: list[int]
     robust: list[int]
     workers: list[int]
 
-
-class StatusSample(NamedTuple):
-    """One look at the figures of a job or a run: what a series shows, in its order."""
-
-    at: float
-    evaluations: int
-    rate: float
-    successes: int
-    cells: int
-    robust: int
-    workers: int
+    @property
+    def latest_rate(self) -> float:
+        """The newest rate; 0 for an empty series."""
+        return self.rate[-1] if self.rate else 0.0
 
 
-class RecentSamples:
-    """What a coordinator counted lately: the looks of a `WINDOW`, none of them left out."""
+class ThinnedSamples(Generic[Point]):
+    """Points in order of a growing position, thinned by halving; both ends always stay.
 
-    def __init__(self) -> None:
-        self._looks: deque[tuple[float, float]] = deque(maxlen=MAX_POINTS)
-
-    def rate(self, seconds: float, fresh: float) -> float:
-        """Counted evaluations per second over the `WINDOW` before now.
-
-        Over all the time since the coordinator began, where it is not known how far it was `LEAST` ago.
-
-        Parameters
-        ----------
-        seconds
-            Since the coordinator began; less than before: another one did.
-        fresh
-            Counted evaluations since then, replayed ones apart.
-        """
-        looks = self._looks
-        if looks and seconds < looks[-1][0]:
-            looks.clear()
-        looks.append((seconds, fresh))
-        while len(looks) > 1 and seconds - looks[1][0] >= WINDOW:
-            looks.popleft()
-        since, counted = looks[0] if seconds - looks[0][0] >= MIN_POINTS else (0.0, 0.0)
-        return max(0.0, (fresh - counted) / (seconds - since)) if seconds > since else 0.0
-
-
-class ThinnedSamples(Generic[Kind]):
-    """Points in order of a place that only grows, thinned by halving; the first and the newest always stay.
-
-    Parameters
-    ----------
-    place
-        Where a point lies.
-    most
-        The most points.
-    step
-        How far apart they lie at least, at first.
+    `position` gives the position of a point; at first points are at least `step` apart.
     """
 
-    def __init__(self, place: Callable[[Kind], float], most: int, step: float = 0.0) -> None:
-        self._place = place
+    def __init__(self, position: Callable[[Point], float], most: int, step: float = 0.0) -> None:
+        self._position = position
         self._most = most
         self._step = step
-        self.points: list[Kind] = []
+        self.points: list[Point] = []
 
-    def add(self, point: Kind) -> None:
-        """Take the newest point; one that lies before the last is left out."""
-        points, place = self.points, self._place
-        if points and place(point) < place(points[-1]):
+    def add(self, point: Point) -> None:
+        """Append the newest point; one that lies before the last is left out."""
+        points, position = self.points, self._position
+        if points and position(point) < position(points[-1]):
             return
-        is_near = len(points) > 1 and place(point) - place(points[-2]) < self._step
-        if is_near or (points and place(point) == place(points[-1])):
+        is_near = len(points) > 1 and position(point) - position(points[-2]) < self._step
+        if is_near or (points and position(point) == position(points[-1])):
             points.pop()
         points.append(point)
         if len(points) > self._most:
-            self._halve()
-
-    def _halve(self) -> None:
-        *kept, last = self.points
-        self.points = [*kept[::2], last]
-        self._step = 2 * (self._place(last) - self._place(kept[0])) / self._most
+            *kept, last = points
+            self.points = [*kept[::2], last]
+            self._step = 2 * (position(last) - position(kept[0])) / self._most
 
 
 class SeriesBuilder:
-    """The looks at a job or a run, of which a series is made."""
+    """Builds a series from the figures of a job or a run as they are published."""
 
     def __init__(self) -> None:
-        self._looks: ThinnedSamples[StatusSample] = ThinnedSamples(lambda look: look.at, MAX_POINTS, STEP)
-        self._lately = RecentSamples()
+        self._points: ThinnedSamples[tuple[Any, ...]] = ThinnedSamples(itemgetter(0), MAX_POINTS, STEP)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=MAX_POINTS)  # of a `WINDOW`: see `_rate`
 
     def add(self, figures: RunStatus | JobStatus, at: float) -> None:
-        """Note how far it is."""
-        one, rate = figures, self._lately.rate(figures.seconds, figures.rate * figures.seconds)
-        self._looks.add(
-            StatusSample(at, one.evaluations, rate, one.successes, one.cells, one.robust, one.workers)
-        )
+        """Add the figures at a time [s since 1970]."""
+        rate, one = self._rate(figures.seconds, figures.rate * figures.seconds), figures
+        self._points.add((at, one.evaluations, rate, one.successes, one.cells, one.robust, one.workers))
 
     @property
     def series(self) -> Series:
-        """The series so far."""
-        columns = [list(column) for column in zip(*self._looks.points, strict=True)]
+        """The series so far; its columns have the order of a point's values."""
         names = Series.__struct_fields__
+        columns = [list(column) for column in zip(*self._points.points, strict=True)]
         return Series(**dict(zip(names, columns or [[] for _ in names], strict=True)))
 
+    def _rate(self, seconds: float, fresh: float) -> float:
+        """Return the counted evaluations per second over the `WINDOW` before now.
 
-OVER = ("gone", "ended", "cancelled")  # The states of a job that nobody carries out
+        `seconds` is the time since the coordinator began, less than before where another one did, and `fresh`
+        the counted evaluations since then, replayed ones apart. Their quotient is the rate where the count
+        `MIN_WINDOW` ago is not known.
+        """
+        recent = self._recent
+        if recent and seconds < recent[-1][0]:
+            recent.clear()
+        recent.append((seconds, fresh))
+        while len(recent) > 1 and seconds - recent[1][0] >= WINDOW:
+            recent.popleft()
+        since, counted = recent[0] if seconds - recent[0][0] >= MIN_WINDOW else (0.0, 0.0)
+        return max(0.0, (fresh - counted) / (seconds - since)) if seconds > since else 0.0
+
+
+OVER = ("gone", "ended", "cancelled")  # The states of a job without a coordinator
 
 
 class JobView(Struct, frozen=True, kw_only=True):
-    """What is known of a job now, and how that came to be."""
+    """Everything known of a job now, and how it came about."""
 
     job: str
     state: str
-    """What its coordinator says: "starting", "running", "paused", "ending" or, at last, "cancelled".
+    """Published: "starting", "running", "paused", "ending" or, at last, "cancelled".
 
-    Where it says nothing: "silent" (nobody knows why: the router may be away), "gone" (it died) or "ended"
-    (all runs are done, or failed).
+    Where it publishes nothing: "silent" (for an unknown reason: the router may be away), "gone" (it died) or
+    "ended" (all runs are done, or failed).
     """
     silent: float
-    """Seconds since its coordinator was heard."""
+    """Seconds since the last message of its coordinator."""
     meta: JobMeta
     figures: JobStatus
     runs: list[RunStatus]
-    """Those in progress, and those that ended while somebody watched, in the order they were heard of."""
+    """Runs in progress, and those that ended during the watch; by their first messages."""
     workers: list[WorkerStatus]
     """Each once: on its way to another page one may stand on both."""
     events: list[JobEvent]
     """The latest, eldest first."""
     history: Series
-    """How the job went while somebody watched."""
+    """Figures of the job during the watch."""
     histories: dict[str, Series]
-    """How its runs did, by their names."""
+    """The same of its runs, by their names."""
     curves: dict[str, GrowthCurve]
-    """How the runs grew from their beginnings on, by their names."""
+    """Curves of the runs from their beginnings on, by their names."""
 
     def foremost(self, most: int) -> list[RunStatus]:
-        """So many of its runs, in their order; left out are those that are over, then the silent ones."""
+        """Return so many of its runs, in order; first left out are finished, then silent ones."""
 
         def rank(number: int) -> tuple[bool, float, int]:
             run = self.runs[number]
-            heard = self.histories[run.run].at[-1:] if run.run in self.histories else []
-            return not run.finished, max(heard, default=0.0), number
+            latest = self.histories[run.run].at[-1:] if run.run in self.histories else []
+            return not run.finished, max(latest, default=0.0), number
 
         return [self.runs[number] for number in sorted(sorted(range(len(self.runs)), key=rank)[-most:])]
 
 
-def last_word(figures: JobStatus | None) -> str:
-    """How a job ended, where these figures are its last; empty where they are not."""
+def end_state(figures: JobStatus | None) -> str:
+    """Return "ended" or "cancelled" where these are the last figures of a job; else empty."""
     if figures is None:
         return ""
     if figures.runs_done + figures.runs_failed >= figures.runs > 0:

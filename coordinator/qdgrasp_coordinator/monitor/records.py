@@ -29,31 +29,27 @@ COMMANDS = (
     "qdgrasp show {folder} --grasp {number}",
     "qdgrasp render {folder} --grasp {number} -o grasp.png",
 )
-"""What can be done with one row of a run."""
+"""Commands about one row of a run."""
 
 
 class JournalId(NamedTuple):
-    """Which journal it is: in another one of the same names, the same numbers are of other rows."""
+    """Identity of a journal: in another one of the same job and run, numbers are of other rows."""
 
-    scene: str
-    """sha256 of the scene bundle."""
-    began: float
-    """When it was begun [s since 1970]."""
+    scene: str  # sha256 of the scene bundle
+    began: float  # Time of its beginning [s since 1970]
 
 
 class RunLocation(NamedTuple):
-    """Where a run lies."""
+    """Folder of a run, and its host; an empty host is this machine."""
 
     folder: str
-    """Its path."""
     host: str = ""
-    """On which machine; empty: on this one."""
 
     def commands(self, number: int) -> list[str]:
-        """The commands that print all that is known about a row, and draw it, with the machine to run on."""
+        """Return the commands that print a row and draw it, with the machine to run them on."""
         folder = quote(printable(self.folder))
-        where = f"  # on {printable(self.host)}" if self.host else ""
-        return [command.format(folder=folder, number=number) + where for command in COMMANDS]
+        host = f"  # on {printable(self.host)}" if self.host else ""
+        return [command.format(folder=folder, number=number) + host for command in COMMANDS]
 
 
 @dataclass(frozen=True)
@@ -61,48 +57,43 @@ class RecordPage:
     """Nominal successes of a run, in journal order."""
 
     origin: JournalId
-    """The journal they are from."""
-    found: SuccessTable
-    """(n,)."""
-    next: int
-    """The journal number from which to read on."""
-    rows: int
-    """How many rows the journal has.
-
-    With `next` there nothing is left to read for now; nor where it does not get on, as successes that lack
-    trials are told again.
-    """
+    found: SuccessTable  # (n,)
+    next: int  # The journal number from which to read on
+    rows: int  # Number of rows in the journal
 
     def is_last(self, first: int) -> bool:
-        """Whether nothing is left to read for now, where this was read from journal number `first` on."""
+        """Return whether nothing is left to read for now, if this was read from number `first` on.
+
+        A page also does not get on where successes lack trials: these are read again.
+        """
         return self.next >= self.rows or self.next <= first
 
 
 class Records(Protocol):
-    """Finds and scenes of runs. Its methods may take a while; they may be called from several threads.
+    """Successes and scenes of runs. Its methods may take a while; any thread may call them.
 
     Raises
     ------
     InputError
         From any method: there is no such job or run, or it cannot be read.
     BusError, MessageError
-        From any method: nobody answers, or not as agreed.
+        From any method: there is no answer, or not as agreed.
     """
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
-        """What a run grasps, and with which hand: the scene that `page` told of."""
+        """Return the scene of a run that `page` named."""
 
     def page(self, job: str, run: str, first: int) -> RecordPage:
-        """Some successes of a run from journal number `first` on; more by asking again with `next`."""
+        """Return some successes of a run from journal number `first` on; `next` leads to more."""
 
     def entries(self, job: str) -> RunListings:
-        """The runs of a job, finished ones too; those that are not counted yet are left out for now."""
+        """Return the runs of a job, finished ones too; those not counted yet are left out for now."""
 
     def curve(self, job: str, run: str) -> GrowthCurve:
-        """How the run grew from its beginning on, also where it is over; no points: nobody knows."""
+        """Return the curve of a run from its beginning on; without points where it is not known."""
 
     def place(self, job: str, run: str) -> RunLocation:
-        """Where the run lies."""
+        """Return the location of a run."""
 
 
 @dataclass(frozen=True)
@@ -111,27 +102,20 @@ class FolderJob:
 
     folder: JobFolder
     named: frozenset[Path] | None = None
-    """The folders of those of its runs that are shown; None: all, also those that are begun later."""
+    """Folders of the runs that are shown; None: all, also those that begin later."""
 
     @property
     def runs(self) -> dict[str, RunFolder]:
-        """Its runs by their names, which may go anywhere."""
+        """Its runs by their names, printable."""
         paths = self.folder.run_paths if self.named is None else sorted(self.named)
         folders = [RunFolder(path) for path in paths if RunFolder.is_run(path)]
         return {printable(folder.run): folder for folder in folders}
 
-    def with_run(self, path: Path) -> "FolderJob":
-        """With this one of its runs too."""
-        return self if self.named is None else FolderJob(self.folder, self.named | {path})
-
 
 class FolderIndex:
-    """The jobs in folders: runs, campaigns, runs of campaigns, and folders that hold such folders.
+    """The jobs in folders: runs, campaigns, runs of campaigns, and folders of such folders.
 
-    Raises
-    ------
-    NoFolder, FolderError
-        A path is no folder, or there is none in it.
+    A path that is no folder, or holds no job, raises a `FolderError`.
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
@@ -139,32 +123,29 @@ class FolderIndex:
         for path in paths:
             for folder, run in _jobs_at(path):
                 place = folder.path.resolve()
-                if run is None:
-                    found[place] = FolderJob(folder)
-                else:
-                    found[place] = found.get(place, FolderJob(folder, frozenset())).with_run(run)
+                known = found.get(place, FolderJob(folder, frozenset()))
+                named = None if run is None or known.named is None else known.named | {run}
+                found[place] = FolderJob(known.folder if run else folder, named)
         self.jobs: dict[str, FolderJob] = {}
-        for collected in found.values():
-            self.jobs[_free_name(collected.folder.name, self.jobs)] = collected
+        for job in found.values():
+            self.jobs[_free_name(job.folder.name, self.jobs)] = job
+
+    def job(self, name: str) -> FolderJob:
+        """Return a job, or raise `UnknownName`."""
+        if name not in self.jobs:
+            raise UnknownName("job", name, self.jobs)
+        return self.jobs[name]
 
     def run(self, job: str, run: str) -> RunFolder:
-        """The folder of a run.
-
-        Raises
-        ------
-        UnknownName
-            There is no such job, or no such run in it.
-        """
-        if job not in self.jobs:
-            raise UnknownName("job", job, self.jobs)
-        runs = self.jobs[job].runs
+        """Return the folder of a run, or raise `UnknownName`."""
+        runs = self.job(job).runs
         if run not in runs:
             raise UnknownName("run", run, runs)
         return runs[run]
 
 
 def _jobs_at(path: Path) -> Iterator[tuple[JobFolder, Path | None]]:
-    """The jobs at a path, and the run that is named where only one is."""
+    """Yield the jobs at a path, with the run that is named where it is one."""
     if JobFolder.is_job(path):
         yield JobFolder(path), None
         return
@@ -182,31 +163,30 @@ def _jobs_at(path: Path) -> Iterator[tuple[JobFolder, Path | None]]:
 
 
 def _free_name(name: str, taken: dict[str, FolderJob]) -> str:
-    """A name that no other has: of several jobs of one name the second is called name-2."""
+    """Return a free name: of several jobs of one name the second is called name-2."""
     return next(each for n in count(1) if (each := name if n == 1 else f"{name}-{n}") not in taken)
 
 
 class BusRecords:
-    """`Records` over the bus; a scene costs the recorder its answer, and the coordinator nothing."""
+    """`Records` over the bus: answers of the recorder; the coordinator is not involved."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
-        """Of the bundle that the recorder has."""
-        return unpack_scene(
-            bundle_transfer.fetch_bundle_from(self._bus, Keys(job).recorded_asset(digest), digest)
-        )
+        """Unpack the bundle that the recorder has."""
+        key = Keys(job).recorded_asset(digest)
+        return unpack_scene(bundle_transfer.fetch_bundle_from(self._bus, key, digest))
 
     def page(self, job: str, run: str, first: int) -> RecordPage:
-        """One answer of the recorder's."""
+        """Return one answer of the recorder."""
         payload = self._bus.ask(Keys(job).finds, parameters=f"run={run}&from={first}")
         message = messages.decode(payload, SuccessPage)
         origin = JournalId(message.scene, message.began)
         return RecordPage(origin, page_from_message(message), message.next, message.rows)
 
     def entries(self, job: str) -> RunListings:
-        """All pages of the recorder's list, as far as it has counted."""
+        """Read all pages of the recorder's list, as far as it has counted."""
         first, uncounted, runs = 0, 0, list[RunListing]()
         while True:
             page = self._entries(job, f"from={first}")
@@ -217,17 +197,18 @@ class BusRecords:
             first = page.next
 
     def curve(self, job: str, run: str) -> GrowthCurve:
-        """As far as the recorder has counted the run."""
+        """Return the curve as far as the recorder has counted the run."""
         return self._entries(job, f"run={run}").curve or GrowthCurve(run=run, points=[])
 
     def place(self, job: str, run: str) -> RunLocation:
-        """As the recorder tells; in a folder DIR for somebody to fill in while it has not counted the run."""
-        told = self._entries(job, f"run={run}")
-        folders = {entry.run: entry.folder for entry in told.runs}
-        return RunLocation(folders.get(run) or "DIR", "" if told.host == gethostname() else told.host)
+        """Return the recorder's folder; DIR as a placeholder while it has not counted the run."""
+        listings = self._entries(job, f"run={run}")
+        folders = {entry.run: entry.folder for entry in listings.runs}
+        host = "" if listings.host == gethostname() else listings.host
+        return RunLocation(folders.get(run) or "DIR", host)
 
-    def _entries(self, job: str, asked: str) -> RunListings:
-        answer = self._bus.ask(Keys(job).entries, parameters=asked)
+    def _entries(self, job: str, parameters: str) -> RunListings:
+        answer = self._bus.ask(Keys(job).entries, parameters=parameters)
         try:
             return msgspec.json.decode(answer, type=RunListings)
         except msgspec.DecodeError as error:
@@ -235,43 +216,40 @@ class BusRecords:
 
 
 class FolderRecords:
-    """`Records` of the jobs in a collection."""
+    """`Records` of the jobs in folders, read from their journals as they are now."""
 
-    def __init__(self, collection: FolderIndex) -> None:
-        self._collection = collection
-        self._legends = RowContextCache()
+    def __init__(self, index: FolderIndex) -> None:
+        self._index = index
+        self._contexts = RowContextCache()
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
-        """Of the bundle in the run's folder."""
-        return self._collection.run(job, run).scene()
+        """Unpack the bundle in the run's folder."""
+        return self._index.run(job, run).scene()
 
     def page(self, job: str, run: str, first: int) -> RecordPage:
-        """From the journal as it is now."""
-        folder = self._collection.run(job, run)
+        """Read one page from the journal."""
+        folder = self._index.run(job, run)
         with folder.journal() as journal:
             origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
-            legend = self._legends.get(folder, journal)
-            return RecordPage(origin, *success_pages.success_page(journal, first, legend), journal.count)
+            context = self._contexts.get(folder, journal)
+            return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
 
     def entries(self, job: str) -> RunListings:
-        """Counted from the journals as they are now."""
-        if job not in self._collection.jobs:
-            raise UnknownName("job", job, self._collection.jobs)
-        runs = self._collection.jobs[job].runs
-        return RunListings(runs=[_entry(name, folder) for name, folder in runs.items()])
+        """Count the rows of all journals."""
+        return RunListings(runs=[_listing(*run) for run in self._index.job(job).runs.items()])
 
     def curve(self, job: str, run: str) -> GrowthCurve:
-        """Counted from the journal as it is now."""
-        folder = self._collection.run(job, run)
+        """Count the rows of the journal; a merged or pruned one has no curve."""
+        folder = self._index.run(job, run)
         with folder.journal() as journal:
             return count_rows(folder.spec, () if journal.sources else journal.blocks()).curve(run)
 
     def place(self, job: str, run: str) -> RunLocation:
-        """Its folder, here."""
-        return RunLocation(str(self._collection.run(job, run).path.absolute()))
+        """Return its folder, here."""
+        return RunLocation(str(self._index.run(job, run).path.absolute()))
 
 
-def _entry(name: str, folder: RunFolder) -> RunListing:
+def _listing(name: str, folder: RunFolder) -> RunListing:
     with folder.journal() as journal:
         found = count_rows(folder.spec, journal.blocks())
     return RunListing.of(name, folder.spec, folder.bundle().digest, found)

@@ -71,7 +71,7 @@ def test_one_look_shows_all_jobs_and_names_those_of_another_version(
 class OneLook:
     """Jobs that are looked at once: then the monitor is asked to stop."""
 
-    is_linked, strangers = True, ()
+    is_linked, foreign_jobs = True, ()
 
     def __init__(self, stop: Stop) -> None:
         self._stop = stop

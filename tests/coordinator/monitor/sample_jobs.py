@@ -83,7 +83,7 @@ def values(
 def views(shown: dict[str, bytes]) -> list[JobView]:
     """What is seen of answers that have just come."""
     jobs = JobModels()
-    jobs.answered(shown, 100.0)
+    jobs.receive_answers(shown, 100.0)
     return jobs.views(100.0)
 
 
@@ -91,24 +91,24 @@ MUGS = Keys("mugs")
 START = 1000.0
 
 
-def told(jobs: JobModels, now: float, **shown: Struct) -> None:
+def publish(jobs: JobModels, now: float, **shown: Struct) -> None:
     """Let jobs hear something of the job mugs: `stat_run_a=...` on stat/run/a."""
     for place, struct in shown.items():
-        jobs.heard(f"{MUGS.root}/{place.replace('_', '/')}", to_json(struct), now)
+        jobs.receive(f"{MUGS.root}/{place.replace('_', '/')}", to_json(struct), now)
 
 
 def watching(now: float = START, answers: Mapping[str, bytes] | None = None) -> JobModels:
     """A monitor that has asked, and was answered."""
     jobs = JobModels()
-    jobs.questions(now)
-    jobs.token(MUGS.coordinator_token(2), True, now)
-    jobs.questions(now)
-    jobs.answered(values() if answers is None else answers, now)
-    jobs.questions(now)
+    jobs.due_queries(now)
+    jobs.coordinator_changed(MUGS.coordinator_token(2), True, now)
+    jobs.due_queries(now)
+    jobs.receive_answers(values() if answers is None else answers, now)
+    jobs.due_queries(now)
     return jobs
 
 
-def seen(jobs: JobModels, now: float) -> JobView:
+def view_of(jobs: JobModels, now: float) -> JobView:
     (view,) = jobs.views(now)
     return view
 
@@ -131,30 +131,30 @@ def job(
 ) -> JobView:
     """A job that goes on for so many seconds, 83 evaluations in each; nothing is heard of it later."""
     jobs, keys = JobModels(), Keys(name)
-    jobs.token(keys.coordinator_token(2), True, 1000.0)
+    jobs.coordinator_changed(keys.coordinator_token(2), True, 1000.0)
     names = [f"panda-mug-aimed-s{number}" for number in range(runs)]
 
-    def heard(what: str, struct: object) -> None:
-        jobs.heard(f"{keys.root}/{what}", to_json(struct), 1000.0 + second)  # type: ignore[arg-type]
+    def send(what: str, struct: object) -> None:
+        jobs.receive(f"{keys.root}/{what}", to_json(struct), 1000.0 + second)  # type: ignore[arg-type]
 
     for second in range(1, seconds + 1):
         found = 83 * second
         counts = {"evaluations": found, "successes": found // 9, "cells": found // 50, "robust": found // 30}
         all_counts = counts | {"grasps": found // 12, "simulated": found // 2, "overlaps": found // 3}
         rest = {"budget": 100_000, "seconds": float(second), "rate": 83.0, "recorders": 1}
-        heard("stat/job", figures(**({"job": name, "runs": runs} | all_counts | rest | more)))
+        send("stat/job", figures(**({"job": name, "runs": runs} | all_counts | rest | more)))
         for one in names[: 2 if runs > 1 else 1]:
-            heard(f"stat/run/{one}", run(one, **counts))
-    heard("meta", meta(name, runs))
+            send(f"stat/run/{one}", run(one, **counts))
+    send("meta", meta(name, runs))
     for one in names[:1]:
         points = [CurvePoint(n, 4 * n, n // 9, n // 50, n // 30) for n in range(0, 83 * seconds, 83)]
-        jobs.answered(
+        jobs.receive_answers(
             {keys.stat(f"curve/{one}"): to_json(GrowthCurve(run=one, points=points))}, 1000.0 + seconds
         )
     for page in team(*workers):
-        heard(f"stat/team/{page.page}", page)
+        send(f"stat/team/{page.page}", page)
     for one in events or [event(n, f"Worker {n} joined.", kind="worker") for n in range(20)]:
-        heard(f"event/{one.kind}", one)
+        send(f"event/{one.kind}", one)
     (view,) = jobs.views(1000.0 + seconds + later)
     return view
 

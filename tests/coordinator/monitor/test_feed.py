@@ -136,7 +136,7 @@ def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts() -> None:
                 say(bus, MUGS.stat("job"), figures(evaluations=number))
             done.set()
 
-        with feed._news:  # a reader that does not get on
+        with feed._changed:  # a reader that does not get on
             threading.Thread(target=put).start()
             assert done.wait(PATIENCE)
 

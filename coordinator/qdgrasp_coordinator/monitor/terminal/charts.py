@@ -3,10 +3,10 @@
 A curve has two by four dots to each character in braille, one mark to each in ASCII.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 from rich.text import Text
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus
@@ -16,88 +16,69 @@ from qdgrasp_coordinator.monitor.terminal.text_tables import (
     Glyphs,
     Lines,
     count_text,
-    current_speed,
     fit_text,
     percent_text,
     short_count,
     span_text,
+    text_line,
 )
 from qdgrasp_protocol.text import counted
 
 BRAILLE = 0x2800
-DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
-"""The bits of the dots of a braille character: four lines of two."""
+DOTS = np.array([(0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80)])
+"""Bits of the dots of a braille character: four lines of two."""
 
 
 def plot_curve(
     places: Sequence[float], values: Sequence[float], width: int, height: int, most: float, glyphs: Glyphs
 ) -> list[str]:
-    """A curve in `height` lines of `width` characters.
+    """Return a curve in `height` lines of `width` characters.
 
-    Parameters
-    ----------
-    places, values
-        Its points, in order of their places.
-    most
-        The value at the upper edge; the lower one is 0.
+    Its points are given by their positions, in order, and values; the upper edge is the value `most`, the
+    lower one 0. Each column is drawn from the value of the column before to its own, so that the curve has
+    no gaps.
     """
     across, up = (2, 4) if glyphs.has_braille else (1, 1)
-    columns = sample_curve(places, values, width * across)
-    levels = [min(height * up - 1, int(value / most * height * up)) if most > 0 else 0 for value in columns]
-    dots: set[tuple[int, int]] = set()
+    rows = height * up
+    samples = sample_curve(places, values, width * across)
+    levels = [min(rows - 1, int(value / most * rows)) if most > 0 else 0 for value in samples]
+    dots = np.zeros((rows, width * across), bool)
     for column, level in enumerate(levels):
         before = levels[column - 1] if column else level
         low, high = sorted((level, before + (level > before) - (level < before)))
-        dots |= {(column, height * up - 1 - at) for at in range(low, high + 1)}
+        dots[rows - 1 - high : rows - low, column] = True
     if not glyphs.has_braille:
-        return ["".join("*" if (x, y) in dots else " " for x in range(width)) for y in range(height)]
-    return ["".join(_braille(dots, 2 * x, 4 * y) for x in range(width)) for y in range(height)]
+        return ["".join("*" if dot else " " for dot in line) for line in dots]
+    bits = np.einsum("yixj,ij->yx", dots.reshape(height, 4, width, 2), DOTS)
+    return ["".join(chr(BRAILLE + each) if each else " " for each in line) for line in bits.tolist()]
 
 
 def sample_curve(places: Sequence[float], values: Sequence[float], columns: int) -> list[float]:
-    """The values of a curve at so many even places, on straight lines between its points."""
-    if not places:
-        return []
-    if len(places) == 1 or places[0] == places[-1]:
-        return [values[-1]]
-    first, wide = places[0], places[-1] - places[0]
-    return [
-        _interpolated(places, values, first + wide * column / max(1, columns - 1))
-        for column in range(columns)
-    ]
-
-
-def _interpolated(places: Sequence[float], values: Sequence[float], place: float) -> float:
-    after = min(len(places) - 1, max(1, bisect_right(places, place)))
-    wide = places[after] - places[after - 1]
-    share = min(1.0, (place - places[after - 1]) / wide) if wide > 0 else 1.0
-    return values[after - 1] + share * (values[after] - values[after - 1])
-
-
-def _braille(dots: set[tuple[int, int]], left: int, top: int) -> str:
-    bits = sum(DOTS[y][x] for y in range(4) for x in range(2) if (left + x, top + y) in dots)
-    return chr(BRAILLE + bits) if bits else " "
+    """Return a curve's values at so many even positions, interpolated between its points."""
+    if not places or places[0] == places[-1]:
+        return list(values[-1:])
+    found: list[float] = np.interp(np.linspace(places[0], places[-1], columns), places, values).tolist()
+    return found
 
 
 COLOURS = ("bright_black", "red", "yellow", "magenta", "cyan", "green")
-"""Of the stages, beside what fills them."""
-AXIS = 5  # characters that the numbers beside a curve take
+"""Colours of the stages, in the order of their fillings."""
+AXIS = 5  # characters of the numbers beside a curve
 
 
 class CurveChart(NamedTuple):
-    """A curve that is to be drawn."""
+    """A curve with its title; `first` and `last` are written below its ends."""
 
     title: str
     places: Sequence[float]
     values: Sequence[float]
     first: str
-    """What stands below its beginning."""
     last: str
     colour: str
 
 
 def progress_line(view: JobView, width: int, glyphs: Glyphs) -> Text:
-    """How far the job is, as a bar."""
+    """Return the progress of a job as a bar."""
     figures = view.figures
     words = f" {percent_text(figures.done, 1.0)}  {view.state if view.state in OVER else figures.left}"
     room = max(4, width - len(words))
@@ -107,14 +88,14 @@ def progress_line(view: JobView, width: int, glyphs: Glyphs) -> Text:
 
 
 def count_lines(view: JobView, width: int, glyphs: Glyphs) -> Lines:
-    """What was evaluated and found, in two lines, and what is in the way, in a third."""
+    """Return the counts of a job in two lines, and its obstacle or recorder in a third."""
     one = view.figures
     successes = counted(one.successes, "success", "successes", count_text)
+    budget = counted(one.budget, "evaluation", told=count_text)
     runs = f"{one.runs_done} of {one.runs} runs{glyphs.between}" if one.runs > 1 else ""
     lines = [
-        f"{runs}{count_text(one.evaluations)} of "
-        f"{counted(one.budget, 'evaluation', told=count_text)}{glyphs.between}"
-        f"{short_count(current_speed(view.history))}/s lately, {short_count(one.rate)}/s so far",
+        f"{runs}{count_text(one.evaluations)} of {budget}{glyphs.between}"
+        f"{short_count(view.history.latest_rate)}/s lately, {short_count(one.rate)}/s so far",
         glyphs.between.join((
             f"{successes} ({percent_text(one.successes, one.evaluations)})",
             counted(one.cells, "cell", told=count_text),
@@ -123,33 +104,29 @@ def count_lines(view: JobView, width: int, glyphs: Glyphs) -> Lines:
             *([counted(one.trials, "trial", told=count_text)] if one.trials else []),
         )),
     ]  # fmt: skip
-    told = [Text(fit_text(line, width, glyphs).rstrip()) for line in lines]
-    return [
-        *told,
-        Text(fit_text(*_obstacle_cells(view, width, glyphs)).rstrip(), style=_obstacle_style(view)),
-    ]
+    obstacle = text_line(obstacle_text(view, glyphs), width, glyphs, _obstacle_style(view))
+    return [*(text_line(line, width, glyphs) for line in lines), obstacle]
 
 
 def outcome_lines(view: JobView, width: int, glyphs: Glyphs) -> Lines:
-    """Where evaluations end: a bar, and what its parts mean."""
-    shares = [(name, number) for name, number in outcome_counts(view.figures).items()]
-    total = sum(number for _, number in shares)
+    """Return the outcomes of evaluations as a bar and its legend."""
+    counts = outcome_counts(view.figures)
     bar = Text(no_wrap=True)
-    for wide, fill, colour in zip(
-        split_width([number for _, number in shares], width), glyphs.stages, COLOURS, strict=True
-    ):
+    parts = zip(split_width(list(counts.values()), width), glyphs.stages, COLOURS, strict=True)
+    for wide, fill, colour in parts:
         bar.append(fill * wide, style=colour)
-    return [bar, _legend(shares, total, width, glyphs)]
+    return [bar, _legend(counts, width, glyphs)]
 
 
-def _legend(shares: Sequence[tuple[str, int]], total: int, width: int, glyphs: Glyphs) -> Text:
-    """What the parts of the bar mean, as widely spaced as there is room for."""
+def _legend(counts: dict[str, int], width: int, glyphs: Glyphs) -> Text:
+    """Return names and shares of the parts of the bar, as widely spaced as the width allows."""
+    total = sum(counts.values())
     for apart, gap in ((" ", "  "), (" ", " "), ("", " ")):
         legend = Text(gap, no_wrap=True).join(
             Text.assemble(
                 (f"{fill}{apart}", colour), f"{name} {percent_text(number, total).replace(' ', apart)}"
             )
-            for (name, number), fill, colour in zip(shares, glyphs.stages, COLOURS, strict=True)
+            for (name, number), fill, colour in zip(counts.items(), glyphs.stages, COLOURS, strict=True)
         )
         if legend.cell_len <= width:
             return legend
@@ -158,7 +135,7 @@ def _legend(shares: Sequence[tuple[str, int]], total: int, width: int, glyphs: G
 
 
 def outcome_counts(figures: JobStatus) -> dict[str, int]:
-    """How many of a job's genomes got how far, from worst to best."""
+    """Return the numbers of a job's genomes by the stage that they reached, from worst to best."""
     numbers = {
         "no pose": figures.dead_ends,
         "overlap": figures.overlaps,
@@ -171,7 +148,7 @@ def outcome_counts(figures: JobStatus) -> dict[str, int]:
 
 
 def split_width(numbers: Sequence[int], width: int) -> list[int]:
-    """A width in parts that are as the numbers; whatever is not nothing has one at least, if that fits."""
+    """Split a width in proportion to numbers; a part above 0 gets at least 1, if that fits."""
     total = sum(numbers)
     if not total:
         return [0] * len(numbers)
@@ -181,9 +158,9 @@ def split_width(numbers: Sequence[int], width: int) -> list[int]:
 
 
 def curve_charts(view: JobView) -> list[CurveChart]:
-    """The curves of a job: of its one run from the beginning on, of many since somebody watches.
+    """Return the curves of a job: of a single run over evaluations, of several over time.
 
-    Runs that are opened again one by one have fewer evaluations meanwhile: many are drawn over time.
+    Runs that are resumed one by one have fewer evaluations meanwhile, so several are drawn over time.
     """
     history = view.history
     ago = f"{span_text(history.at[-1] - history.at[0])} ago" if history.at else ""
@@ -203,7 +180,7 @@ def curve_charts(view: JobView) -> list[CurveChart]:
 
 
 def curve_lines(view: JobView, width: int, height: int, glyphs: Glyphs) -> Lines:
-    """The curves side by side, in so many lines."""
+    """Return the curves side by side, in so many lines."""
     shown = curve_charts(view)
     wide = (width - 2 * (len(shown) - 1)) // len(shown)
     pictures = [_chart_lines(one, wide, height, glyphs) for one in shown]
@@ -211,7 +188,7 @@ def curve_lines(view: JobView, width: int, height: int, glyphs: Glyphs) -> Lines
 
 
 def _chart_lines(one: CurveChart, width: int, height: int, glyphs: Glyphs) -> Lines:
-    """A title with the newest value, the curve with its scale, and from where to where it goes."""
+    """Return a title with the newest value, the curve with its scale, and its ends if tall."""
     most = max(one.values, default=0)
     has_feet = height >= 6  # lines
     room, rows = width - AXIS - 1, max(1, height - 1 - has_feet)
@@ -228,17 +205,13 @@ def _chart_lines(one: CurveChart, width: int, height: int, glyphs: Glyphs) -> Li
     return lines
 
 
-def _obstacle_cells(view: JobView, width: int, glyphs: Glyphs) -> tuple[str, int, Glyphs]:
-    return obstacle_text(view, glyphs), width, glyphs
-
-
 def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
-    """What keeps a job from going on and what to do; where nothing does, how far the recorder is."""
+    """Return the obstacle of a job and its remedy; without one, the recorder's state."""
     one = view.figures
     words = {
         "gone": f"its coordinator is gone since {span_text(view.silent)}: `qdgrasp resume DIR` goes on",
-        "silent": f"nothing was heard of it for {span_text(view.silent)}: what is shown is "
-        "what was heard last",
+        "silent": f"nothing was heard of it for {span_text(view.silent)}: "
+        "what is shown is what was heard last",
         "ended": "it has ended",
         "cancelled": "it was ended before it was done: `qdgrasp resume DIR` goes on",
         "paused": f"paused until `qdgrasp continue {view.job}`",
@@ -247,16 +220,15 @@ def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
         return words[view.state]
     if one.obstacle:
         return f"waits: {glyphs.text(one.obstacle)}"
-    recorder = (
-        f"{counted(one.waiting, 'row', told=count_text)} not on disk yet" if one.waiting else "all on disk"
-    )
-    told = [
+    waiting = counted(one.waiting, "row", told=count_text)
+    on_disk = f"{waiting} not on disk yet" if one.waiting else "all on disk"
+    phrases = [
         words.get(view.state, ""),
-        recorder if one.recorders else "no recorder is there: rows wait for one",
+        on_disk if one.recorders else "no recorder is there: rows wait for one",
+        f"{counted(one.requeued, 'batch', 'batches', count_text)} given again" if one.requeued else "",
+        f"{counted(one.strays, 'result', told=count_text)} dropped" if one.strays else "",
     ]
-    told += [f"{counted(one.requeued, 'batch', 'batches', count_text)} given again"] if one.requeued else []
-    told += [f"{counted(one.strays, 'result', told=count_text)} dropped"] if one.strays else []
-    return glyphs.between.join(filter(None, told))
+    return glyphs.between.join(filter(None, phrases))
 
 
 def _obstacle_style(view: JobView) -> str:

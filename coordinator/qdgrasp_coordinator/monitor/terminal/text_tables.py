@@ -14,34 +14,29 @@ from typing import Generic, Literal, TypeVar
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
+from rich.style import Style
 from rich.text import Text
 
 from qdgrasp_coordinator.metrics.job_status import JobEvent, RunStatus, WorkerStatus
-from qdgrasp_coordinator.monitor.job_view import OVER, JobView, Series
-from qdgrasp_protocol.text import printable
+from qdgrasp_coordinator.monitor.job_view import OVER, JobView
+from qdgrasp_protocol.text import counted, printable
 
 
 @dataclass(frozen=True)
 class Glyphs:
     """Characters for bars, rules and curves."""
 
-    full: str
-    """Done."""
-    empty: str
-    """To be done."""
+    full: str  # The part of a progress bar that is done
+    empty: str  # The part that is not
     rule: str
-    between: str
-    """Between two things in a line."""
-    chosen: str
-    """Before what is chosen."""
-    more: str
-    """Where words are cut off."""
-    stages: str
-    """What the parts of a bar are filled with, one after the other."""
+    between: str  # Separator of phrases in a line
+    chosen: str  # Mark of the selected job
+    more: str  # Mark of words that are cut off
+    stages: str  # Fillings of the parts of a bar, from left to right
     has_braille: bool
 
     def text(self, words: str) -> str:
-        """What others wrote, as it may stand on the terminal."""
+        """Return words from messages so that the terminal can print them."""
         shown = printable(words)
         return shown if self.has_braille else shown.encode("ascii", "backslashreplace").decode()
 
@@ -51,39 +46,36 @@ ASCII = Glyphs("#", ".", "-", " | ", ">", "~", ".:-=+#", has_braille=False)
 
 
 def glyphs_of(console: Console, *, ascii_only: bool = False) -> Glyphs:
-    """Those that a terminal can show; the font of Linux's own console has no braille."""
+    """Return the glyphs that a terminal can show; Linux's own console has no braille."""
     has_all = console.encoding.lower().startswith("utf") and os.environ.get("TERM") != "linux"
     return UNICODE if has_all and not ascii_only else ASCII
 
 
-MAX_SECONDS = 99_999 * 86_400.0  # seconds; nobody waits for longer
+MAX_SECONDS = 99_999 * 86_400.0  # seconds; longer times are shown as this
 SIZES = ("", "k", "M", "G", "T")
-UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
 def count_text(number: float) -> str:
-    """A count with its thousands apart: 41 200."""
+    """Return a count with its thousands apart: 41 200."""
     return f"{round(number):,}".replace(",", " ")
 
 
 def short_count(number: float) -> str:
-    """A count in at most five characters: 0.8, 950, 41.2k, 1.2M."""
+    """Return a count in at most five characters: 0.8, 950, 41.2k, 1.2M."""
     if number < 9_999.5:
         return f"{number:.0f}" if number >= 10 or number == int(number) else f"{number:.1f}"
-    unit = 0
-    while number >= 999.5 and unit < len(SIZES) - 1:
-        number, unit = number / 1000, unit + 1
-    return f"{number:.1f}{SIZES[unit]}" if number < 99.95 else f"{number:.0f}{SIZES[unit]}"
+    number, size = _scaled(number)
+    return f"{number:.1f}{SIZES[size]}" if number < 99.95 else f"{number:.0f}{SIZES[size]}"
 
 
 def percent_text(some: float, total: float) -> str:
-    """A share in per cent, in at most five characters: 0 %, <1 %, 62 %."""
+    """Return a share in per cent, in at most five characters: 0 %, <1 %, 62 %."""
     share = 100 * some / total if total else 0.0
     return "<1 %" if 0 < share <= 0.5 else f"{share:.0f} %"
 
 
 def span_text(seconds: float) -> str:
-    """A time in at most seven characters: 4 s, 12:05, 3:12 h, 2.5 d."""
+    """Return a time in at most seven characters: 4 s, 12:05, 3:12 h, 2.5 d."""
     whole = max(0, round(min(seconds, MAX_SECONDS)))
     if whole < 60:
         return f"{whole} s"
@@ -96,11 +88,17 @@ def span_text(seconds: float) -> str:
 
 
 def size_text(number: float) -> str:
-    """Bytes in at most six characters: 310 MB."""
-    unit = 0
-    while number >= 999.5 and unit < len(UNITS) - 1:
-        number, unit = number / 1000, unit + 1
-    return f"{number:.1f} {UNITS[unit]}" if unit and number < 9.95 else f"{number:.0f} {UNITS[unit]}"
+    """Return bytes in at most six characters: 310 MB."""
+    number, size = _scaled(number)
+    return f"{number:.1f} {SIZES[size]}B" if size and number < 9.95 else f"{number:.0f} {SIZES[size]}B"
+
+
+def _scaled(number: float) -> tuple[float, int]:
+    """Return a number below 1000 and the index of its size, unless it is greater than all sizes."""
+    size = 0
+    while number >= 999.5 and size < len(SIZES) - 1:
+        number, size = number / 1000, size + 1
+    return number, size
 
 
 GAP = 2  # characters between columns
@@ -111,30 +109,14 @@ Lines = list[Text]
 
 @dataclass(frozen=True)
 class TableColumn(Generic[Row]):
-    """A column of a table.
-
-    Attributes
-    ----------
-    title
-        What stands above it.
-    value
-        What a row has there, others' words made printable.
-    width
-        How wide it is at least.
-    rank
-        How important it is; 0 is never left out.
-    align
-        To which side.
-    grows
-        Whether it takes the room that is left.
-    """
+    """A column of a table."""
 
     title: str
-    value: Callable[[Row], str]
-    width: int
-    rank: int = 0
+    value: Callable[[Row], str]  # Gives the printable text of a row
+    width: int  # The least width
+    rank: int = 0  # Columns of a greater rank are left out first, those of rank 0 never
     align: Literal["left", "right"] = "right"
-    grows: bool = False
+    grows: bool = False  # True for the column that takes the width that is left
 
 
 def table_lines(
@@ -144,54 +126,48 @@ def table_lines(
     glyphs: Glyphs,
     style: Callable[[Row], str] = lambda _: "",
 ) -> Lines:
-    """A line with the titles, and one for each row; no line is longer than `width`.
+    """Return a line with the titles, and one for each row; no line is longer than `width`.
 
-    A column without a title is there where it tells something.
+    A column without a title is left out where all of its texts are empty.
     """
-    told = [column for column in columns if column.title or any(column.value(row).strip() for row in rows)]
-    chosen = fitting_columns(told, width)
-    widths = [column.width for column in chosen]
-    growing = [number for number, column in enumerate(chosen) if column.grows]
-    spare = width - _total(chosen)
-    for number in growing[:1]:
-        needed = max([cell_len(chosen[number].value(row)) for row in rows], default=0)
-        widths[number] += max(0, min(spare, needed - widths[number]))
-    sized = list(zip(chosen, widths, strict=True))
-    head = Text(_line([(column.title, at, column.align) for column, at in sized], glyphs), style="dim")
-    return [
-        head,
-        *(
-            Text(
-                _line([(column.value(row), at, column.align) for column, at in sized], glyphs),
-                style=style(row),
-            )
-            for row in rows
-        ),
-    ]
+    filled = [column for column in columns if column.title or any(column.value(row).strip() for row in rows)]
+    shown = fitting_columns(filled, width)
+    widths = [column.width for column in shown]
+    for number in [number for number, column in enumerate(shown) if column.grows][:1]:
+        needed = max([cell_len(shown[number].value(row)) for row in rows], default=0)
+        widths[number] += max(0, min(width - _total(shown), needed - widths[number]))
+
+    def line(values: Sequence[str], style: str) -> Text:
+        cells = zip(shown, values, widths, strict=True)
+        words = [fit_text(value, wide, glyphs, column.align) for column, value, wide in cells]
+        return Text((" " * GAP).join(words).rstrip(), style=style)
+
+    titles = line([column.title for column in shown], "dim")
+    return [titles, *(line([column.value(row) for column in shown], style(row)) for row in rows)]
 
 
 def fitting_columns(columns: Sequence[TableColumn[Row]], width: int) -> list[TableColumn[Row]]:
-    """The columns that there is room for."""
+    """Return the columns that fit; of the greatest rank the last one is left out first."""
     kept = list(columns)
     while _total(kept) > width and any(column.rank for column in kept):
-        least = max(column.rank for column in kept)
-        kept.remove([column for column in kept if column.rank == least][-1])
+        kept.remove(max(reversed(kept), key=lambda column: column.rank))
     return kept
-
-
-def fit_text(words: str, width: int, glyphs: Glyphs, align: str = "left") -> str:
-    """Words in exactly so many cells: filled up, or cut off where that shows."""
-    if cell_len(words) > width:
-        return set_cell_size(words, max(0, width - 1)) + glyphs.more if width > 0 else ""
-    return " " * (width - cell_len(words)) + words if align == "right" else set_cell_size(words, width)
 
 
 def _total(columns: Sequence[TableColumn[Row]]) -> int:
     return sum(column.width for column in columns) + GAP * max(0, len(columns) - 1)
 
 
-def _line(cells: Sequence[tuple[str, int, str]], glyphs: Glyphs) -> str:
-    return (" " * GAP).join(fit_text(words, width, glyphs, align) for words, width, align in cells).rstrip()
+def fit_text(words: str, width: int, glyphs: Glyphs, align: str = "left") -> str:
+    """Return words in exactly so many cells: filled up, or cut off with a mark."""
+    if cell_len(words) > width:
+        return set_cell_size(words, max(0, width - 1)) + glyphs.more if width > 0 else ""
+    return " " * (width - cell_len(words)) + words if align == "right" else set_cell_size(words, width)
+
+
+def text_line(words: str, width: int, glyphs: Glyphs, style: str | Style = "") -> Text:
+    """Return words as a line of at most so many cells."""
+    return Text(fit_text(words, width, glyphs).rstrip(), style=style)
 
 
 STYLES = {
@@ -200,11 +176,11 @@ STYLES = {
     "working": "", "idle": "dim", "stuck": "bold yellow", "leaving": "cyan",
     "job": "cyan", "run": "green", "trouble": "bold yellow", "error": "bold red",
 }  # fmt: skip
-"""How the states of jobs and workers and the kinds of events look, beside what their words say."""
+"""Styles of the states of jobs and workers, and of the kinds of events."""
 
 
 def job_list(views: Sequence[JobView], chosen: int, width: int, rows: int, glyphs: Glyphs) -> Lines:
-    """The jobs, in at most so many rows, among them the one that is chosen."""
+    """Return the table of the jobs, in at most so many rows, among them the selected one."""
     first = first_row(len(views), rows, chosen - rows // 2)
     numbered = list(enumerate(views))[first : first + rows]
     columns: list[TableColumn[tuple[int, JobView]]] = [
@@ -216,7 +192,7 @@ def job_list(views: Sequence[JobView], chosen: int, width: int, rows: int, glyph
         TableColumn("evaluations", lambda one: count_text(one[1].figures.evaluations), 11, rank=4),
         TableColumn("done", lambda one: percent_text(one[1].figures.done, 1.0), 5),
         TableColumn("left", lambda one: time_left(one[1]), 7, rank=2),
-        TableColumn("eval/s", lambda one: short_count(current_speed(one[1].history)), 6, rank=3),
+        TableColumn("eval/s", lambda one: short_count(one[1].history.latest_rate), 6, rank=3),
         TableColumn("cells", lambda one: count_text(one[1].figures.cells), 8, rank=6),
         TableColumn("robust", lambda one: count_text(one[1].figures.robust), 8, rank=7),
         TableColumn("workers", lambda one: count_text(one[1].figures.workers), 7, rank=8),
@@ -225,25 +201,18 @@ def job_list(views: Sequence[JobView], chosen: int, width: int, rows: int, glyph
 
 
 def state_text(view: JobView) -> str:
-    """The state of a job, with how long nothing was heard of it."""
+    """Return the state of a job, with the time since its last message where that is long."""
     return f"{view.state} {span_text(view.silent)}" if view.state in ("silent", "gone") else view.state
 
 
 def time_left(view: JobView) -> str:
-    """The time that a job still takes, at its speed so far."""
-    figures = view.figures
-    if figures.rate <= 0 or view.state in OVER:
-        return "-"
-    return span_text(figures.remaining / figures.rate)
-
-
-def current_speed(series: Series) -> float:
-    """The speed lately."""
-    return series.rate[-1] if series.rate else 0.0
+    """Return the time that a job still takes at its mean speed."""
+    is_known = view.figures.rate > 0 and view.state not in OVER
+    return span_text(view.figures.remaining / view.figures.rate) if is_known else "-"
 
 
 def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
-    """The runs of a job that were heard of: those in progress first, then the latest that ended."""
+    """Return the table of a job's runs: those in progress first, then the latest that ended."""
     runs = [run for run in view.runs if not run.finished] + [run for run in view.runs[::-1] if run.finished]
     columns: list[TableColumn[RunStatus]] = [
         TableColumn("run", lambda run: glyphs.text(run.run), 16, align="left", grows=True),
@@ -260,7 +229,7 @@ def run_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
 
 
 def worker_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
-    """The workers of a job; those that are in trouble first."""
+    """Return the table of a job's workers; those that are in trouble first."""
     rank = {"gone": 0, "stuck": 1, "leaving": 2}
     workers = sorted(view.workers, key=lambda worker: (rank.get(worker.state, 3), worker.host, worker.pid))
     columns: list[TableColumn[WorkerStatus]] = [
@@ -280,33 +249,29 @@ def worker_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
 
 
 def worker_words(view: JobView, glyphs: Glyphs) -> str:
-    """How many workers are in which state, and on how many hosts."""
+    """Return the number of workers in each state, and of their hosts."""
     states = Counter(worker.state for worker in view.workers)
     hosts = len({worker.host for worker in view.workers})
-    how = ", ".join(f"{n} {glyphs.text(state)}" for state, n in states.most_common())
-    return f"{how} on {hosts} host{'s' * (hosts != 1)}" if how else "none has joined"
+    counts = ", ".join(f"{n} {glyphs.text(state)}" for state, n in states.most_common())
+    return f"{counts} on {counted(hosts, 'host')}" if counts else "none has joined"
 
 
 def event_list(events: Sequence[JobEvent], width: int, glyphs: Glyphs) -> Lines:
-    """What happened, the latest first."""
-    head = Text(fit_text("at       what     happened", width, glyphs).rstrip(), style="dim")
-    return [
-        head,
-        *(Text(_event(one, width, glyphs), style=STYLES.get(one.kind, "")) for one in reversed(events)),
-    ]
+    """Return the table of events, the latest first."""
+    lines = [text_line("at       what     happened", width, glyphs, "dim")]
+    for one in reversed(events):
+        words = f"{_clock(one.at)} {one.kind:8} {glyphs.text(one.words)}"
+        lines.append(text_line(words, width, glyphs, STYLES.get(one.kind, "")))
+    return lines
 
 
 def first_row(total: int, rows: int, first: int) -> int:
-    """The first of `rows` lines that are shown of a list, where `first` is asked for."""
+    """Return the first of `rows` shown lines of a list that is scrolled to `first`."""
     return max(0, min(first, total - rows))
 
 
-def _event(one: JobEvent, width: int, glyphs: Glyphs) -> str:
-    return fit_text(f"{_clock(one.at)} {one.kind:8} {glyphs.text(one.words)}", width, glyphs).rstrip()
-
-
 def _clock(at: datetime) -> str:
-    """What time it was for whoever sits here; a day that no calendar has is left as it came."""
+    """Return the local time of the day; a date outside the calendar's range stays in its zone."""
     with suppress(OverflowError):
         at = at.astimezone()
     return f"{at:%H:%M:%S}"
@@ -319,11 +284,8 @@ def _runs(view: JobView) -> str:
 
 
 def _speed(view: JobView, run: RunStatus) -> str:
-    return (
-        ""
-        if run.finished or run.run not in view.histories
-        else short_count(current_speed(view.histories[run.run]))
-    )
+    is_known = not run.finished and run.run in view.histories
+    return short_count(view.histories[run.run].latest_rate) if is_known else ""
 
 
 def _run_style(run: RunStatus) -> str:

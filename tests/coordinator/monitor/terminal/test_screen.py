@@ -46,7 +46,7 @@ JOBS = ["a", "b", "c"]
 def after(*pressed: str, choice: ScreenSelection | None = None) -> ScreenSelection:
     found = choice or ScreenSelection()
     for key in pressed:
-        found = found.pressed(key, JOBS, 10)
+        found = found.after_key(key, JOBS, 10)
     return found
 
 
@@ -62,14 +62,14 @@ def test_a_job_is_chosen_by_its_place(pressed: list[str], job: str) -> None:
 
 
 def test_a_job_that_is_no_more_leaves_the_first_chosen() -> None:
-    assert ScreenSelection(job="gone").place(JOBS) == 0
-    assert ScreenSelection(job="b").place(["new", "a", "b"]) == 2
+    assert ScreenSelection(job="gone").index(JOBS) == 0
+    assert ScreenSelection(job="b").index(["new", "a", "b"]) == 2
 
 
 @pytest.mark.parametrize(("key", "long"), [("r", "runs"), ("w", "workers"), ("e", "events")])
 def test_a_list_takes_all_the_room_and_gives_it_back(key: str, long: str) -> None:
-    assert after(key).long == long
-    assert after(key, key).long == after(key, "a").long == after(key, "escape").long == ""
+    assert after(key).list == long
+    assert after(key, key).list == after(key, "a").list == after(key, "escape").list == ""
 
 
 def test_a_long_list_is_scrolled_line_by_line_and_page_by_page() -> None:
@@ -83,7 +83,7 @@ def test_a_long_list_is_scrolled_line_by_line_and_page_by_page() -> None:
 
 def test_keys_without_a_meaning_and_without_a_job_change_nothing() -> None:
     assert after("x", "pagedown") == ScreenSelection(job="a")
-    assert ScreenSelection().pressed("tab", [], 10) == ScreenSelection()
+    assert ScreenSelection().after_key("tab", [], 10) == ScreenSelection()
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ class TestRoom:
     def test_a_frame_fills_its_terminal_exactly(
         self, width: int, height: int, what: ScreenState, long: str, glyphs: Glyphs
     ) -> None:
-        lines = drawn(what, width, height, ScreenSelection(long=long, top=3), glyphs)  # type: ignore[arg-type]
+        lines = drawn(what, width, height, ScreenSelection(list=long, top=3), glyphs)  # type: ignore[arg-type]
         assert len(lines) == height
         assert max(map(cell_len, lines)) <= width
 
@@ -173,15 +173,15 @@ class TestRoom:
 
 class TestLongLists:
     def test_a_long_list_has_all_the_room_and_scrolls(self) -> None:
-        first = text(ONE, 80, 24, ScreenSelection(long="workers"))
-        later = text(ONE, 80, 24, ScreenSelection(long="workers", top=12))
+        first = text(ONE, 80, 24, ScreenSelection(list="workers"))
+        later = text(ONE, 80, 24, ScreenSelection(list="workers", top=12))
         assert "workers of mugs: 1 to 18 of 30" in first
         assert "workers of mugs: 13 to 30 of 30" in later
         assert first.count("node-") == later.count("node-") == 18
 
     def test_a_page_is_as_many_rows_as_are_seen(self) -> None:
         rows = list_rows(ONE, 80, 24, UNICODE)
-        assert text(ONE, 80, 24, ScreenSelection(long="workers")).count("node-") == rows
+        assert text(ONE, 80, 24, ScreenSelection(list="workers")).count("node-") == rows
 
     def test_the_job_that_is_chosen_is_among_those_that_are_seen(self) -> None:
         many = shown(*(job(f"job-{number:02}", seconds=2) for number in range(40)))
@@ -231,7 +231,7 @@ class TestTrouble:
 
     def test_jobs_of_another_version_are_named(self) -> None:
         assert "Watch with their own version of qdgrasp-monitor: old" in text(
-            shown(strangers=["old"]), 80, 24
+            shown(foreign_jobs=["old"]), 80, 24
         )
 
     def test_where_there_is_no_job_it_is_said_what_to_do(self) -> None:
@@ -250,7 +250,7 @@ class TestTrouble:
         )
         for glyphs in (UNICODE, ASCII):
             for long in ("", "workers", "events"):
-                seen = text(shown(view), 200, 60, ScreenSelection(long=long), glyphs)  # type: ignore[arg-type]
+                seen = text(shown(view), 200, 60, ScreenSelection(list=long), glyphs)  # type: ignore[arg-type]
                 assert "\x1b" not in seen
                 assert "\u202e" not in seen
                 assert "\\x1b[2J\\n\\u202eevil" in seen
@@ -298,13 +298,13 @@ def test_whatever_a_coordinator_says_fits(meta, figures, runs, pages, events, cu
     says += [(keys.event("job"), one) for one in events]
     says += [(keys.meta, meta), (keys.stat("curve/a"), curve)]
     for number, (key, one) in enumerate(says):
-        jobs.heard(key, to_json(one), 1000.0 + number)
+        jobs.receive(key, to_json(one), 1000.0 + number)
     (view,) = jobs.views(1005.0)
     for long in ("", "runs", "workers", "events"):
         for glyphs in (UNICODE, ASCII):
-            for line in screen_lines(shown(view), ScreenSelection(long=long), *size, glyphs):
+            for line in screen_lines(shown(view), ScreenSelection(list=long), *size, glyphs):
                 assert line.cell_len <= size[0], line.plain
-            lines = drawn(shown(view), *size, ScreenSelection(long=long), glyphs)
+            lines = drawn(shown(view), *size, ScreenSelection(list=long), glyphs)
             assert len(lines) == size[1]
             assert max(map(cell_len, lines)) <= size[0]
     assert list(told(view, NOW))

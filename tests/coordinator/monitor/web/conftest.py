@@ -14,8 +14,9 @@ from tests.common import PATIENCE
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web.access import Access
-from qdgrasp_coordinator.monitor.web.routes import LiveSite, RunLibrary
-from qdgrasp_coordinator.monitor.web.server import Site, application, serve
+from qdgrasp_coordinator.monitor.web.routes import Site, live_site
+from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
+from qdgrasp_coordinator.monitor.web.server import application, serve
 from qdgrasp_protocol.process import Stop
 
 HERE = "127.0.0.1"
@@ -54,7 +55,7 @@ def feed() -> FakeFeed:
 
 def client(feed: FakeFeed, access: Access | None = None) -> TestClient:
     """A client on this machine."""
-    app = application(LiveSite(feed, FakeLibrary()), access or Access(local=True))
+    app = application(live_site(feed, FakeLibrary()), access or Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", follow_redirects=False)
 
 
@@ -65,10 +66,10 @@ def free_port() -> int:
 
 
 def serving(
-    feed: FakeFeed, port: int, token: str = "", library: RunLibrary | None = None
+    feed: FakeFeed, port: int, token: str = "", library: FakeLibrary | RunCaches | None = None
 ) -> AbstractContextManager[str]:
     """A server of a live page in a thread; gives its address, and ends it in the end."""
-    return serving_site(LiveSite(feed, library or FakeLibrary()), port, token)
+    return serving_site(live_site(feed, library or FakeLibrary()), port, token)
 
 
 @contextmanager

@@ -51,8 +51,8 @@ class FakeFeed:
         return self.jobs.is_linked
 
     @property
-    def strangers(self) -> list[str]:
-        return self.jobs.strangers
+    def foreign_jobs(self) -> list[str]:
+        return self.jobs.foreign_jobs
 
     def views(self) -> list[JobView]:
         with self.lock:
@@ -63,15 +63,15 @@ class FakeFeed:
         self.steps += 1
         at = time.time() if at is None else at
         with self.lock:
-            self.jobs.answered(_values("mug", ["mug"], self.steps, self.gone, at), at)
+            self.jobs.receive_answers(_values("mug", ["mug"], self.steps, self.gone, at), at)
             names = [f"panda-{what}-aimed-s{seed}" for what in ("mug", "drill", "banana") for seed in (0, 1)]
-            self.jobs.answered(_values("hands", names, self.steps, set(), at), at)
+            self.jobs.receive_answers(_values("hands", names, self.steps, set(), at), at)
 
     def happen(self, words: str, kind: str = "worker") -> None:
         """Have something happen in the job `mug`."""
         event = JobEvent(number=1000 + self.steps, at=datetime.now(UTC), kind=kind, words=words)  # type: ignore[arg-type]
         with self.lock:
-            self.jobs.answered({Keys("mug").event(kind): to_json(event)}, time.time())
+            self.jobs.receive_answers({Keys("mug").event(kind): to_json(event)}, time.time())
 
     @contextmanager
     def going_on(self, interval: float = 0.2) -> Iterator[None]:

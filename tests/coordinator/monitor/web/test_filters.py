@@ -1,14 +1,16 @@
 """Filters of the view in 3D in a browser: what they leave, and that they say so."""
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 from tests import browser
+from tests.browser import expect
+from tests.common import PATIENCE
 from tests.coordinator.monitor.web.conftest import free_port, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, HandMadeRecords, finds
-from tests.coordinator.monitor.web.test_scene import expect
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.scene import Scene, Synergy
@@ -43,7 +45,7 @@ def records() -> HandMadeRecords:
 @pytest.fixture
 def page(chromium: Any, records: HandMadeRecords) -> Iterator[Page]:
     feed = FakeFeed()
-    feed.step()
+    feed.step(time.time() + PATIENCE)  # it stays live however slow the browser is
     with serving(feed, free_port(), library=RunCaches(records)) as address:
         visit = browser.Visit(chromium, f"{address}/#job=mug")
         expect(visit.page.locator("#scene-words")).to_have_text("5 cells of 1 cm")

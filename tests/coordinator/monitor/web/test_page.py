@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 from tests import browser
-from tests.browser import PATIENCE, PHONE, figure, number
+from tests.browser import PATIENCE, PHONE, expect, figure, number
 from tests.coordinator.monitor.sample_jobs import curve, run, values
 from tests.coordinator.monitor.web.conftest import free_port, serving
 from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, FakeLibrary
@@ -52,12 +52,6 @@ FOCUSED = """() => {
   const node = document.activeElement;
   return [node.id || node.closest("[id]")?.id, getComputedStyle(node).outlineStyle];
 }"""
-
-
-def expect(what: Any) -> Any:
-    from playwright.sync_api import expect as expected
-
-    return expected(what)
 
 
 @pytest.fixture(scope="module")
@@ -188,14 +182,14 @@ def test_it_says_when_the_monitor_does_not_reach_its_router(look: Look) -> None:
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#link")).to_have_text("live")
-        feed.jobs.linked(False, time.time())
+        feed.jobs.link_changed(False, time.time())
         expect(page.locator("#link")).to_have_text("the monitor does not reach its router")
 
 
 def test_of_workers_of_a_silent_job_it_says_since_when_nobody_tells(look: Look) -> None:
     feed = FakeFeed()
     feed.step(time.time() - 40)
-    feed.jobs.linked(False, time.time())
+    feed.jobs.link_changed(False, time.time())
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#workers-words")).to_have_text(
@@ -220,7 +214,7 @@ def test_of_a_router_that_went_with_its_jobs_nothing_is_said(look: Look) -> None
     feed = FakeFeed()
     feed.steps = BUDGET // STEP
     feed.step()
-    feed.jobs.linked(False, time.time())
+    feed.jobs.link_changed(False, time.time())
     with serving(feed, free_port()) as place:
         page = look(f"{place}/#job=mug")
         expect(page.locator("#state")).to_contain_text("ended")
@@ -336,16 +330,17 @@ class Recorded(FakeLibrary):
         return to_json(replace(grown, points=points))
 
 
-def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one() -> None:
+def test_the_curve_of_a_run_that_nobody_watched_is_the_recorded_one(chromium: Any) -> None:
     feed = FakeFeed()
-    feed.jobs.answered(values(), time.time())
-    with serving(feed, free_port(), library=Recorded()) as place, browser.launched() as chromium:
+    feed.jobs.receive_answers(values(), time.time())
+    with serving(feed, free_port(), library=Recorded()) as place:
         visit = browser.Visit(chromium, f"{place}/#job=mugs&run=over")
         over, legend = visit.page.locator("#cells .u-over"), visit.page.locator("#cells-legend dd")
         over.wait_for(timeout=PATIENCE)
         box, nudges = over.bounding_box(), count()
         assert box is not None
         until(lambda: under(visit.page, legend, box["x"] + 0.4 * box["width"] + next(nudges) % 3) == "100")
+        visit.context.close()
         assert visit.complaints == []
 
 

@@ -17,9 +17,9 @@ from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.monitor.records import FolderIndex
 from qdgrasp_coordinator.monitor.web.access import Access
-from qdgrasp_coordinator.monitor.web.page_state import MOST_RUNS, MOST_WORKERS, JobState, PageState
-from qdgrasp_coordinator.monitor.web.routes import FolderSite
+from qdgrasp_coordinator.monitor.web.routes import folder_site
 from qdgrasp_coordinator.monitor.web.server import application
+from qdgrasp_coordinator.monitor.web.state_stream import MOST_RUNS, MOST_WORKERS, JobState, PageState
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.keys import Keys
 
@@ -68,7 +68,7 @@ ROWS = random_rows(60)
 
 
 def client(*paths: Path) -> TestClient:
-    app = application(FolderSite(FolderIndex(paths)), Access(local=True))
+    app = application(folder_site(FolderIndex(paths)), Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", raise_server_exceptions=False)
 
 

@@ -12,7 +12,7 @@ from tests.coordinator.monitor.web.test_scene_data import in_cells, read
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.monitor.records import JournalId, RecordPage
 from qdgrasp_coordinator.monitor.web import run_cache
-from qdgrasp_coordinator.monitor.web.run_cache import BUSY_MESSAGE, FRESH_SECONDS, LISTED_SECONDS, RunCaches
+from qdgrasp_coordinator.monitor.web.run_cache import BUSY_SECONDS, FRESH_SECONDS, LISTED_SECONDS, RunCaches
 from qdgrasp_coordinator.monitor.web.scene_data import HEADER
 from qdgrasp_protocol.errors import InputError, NoReply, UnknownName
 from qdgrasp_protocol.rows import Outcome
@@ -175,7 +175,7 @@ def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(
         with pytest.raises(NoReply):
             library.cells("job", "run", 0)
     assert len(asked) == 1
-    clock.now += BUSY_MESSAGE
+    clock.now += BUSY_SECONDS
     with pytest.raises(NoReply):
         library.cells("job", "run", 0)
     assert len(asked) == 2

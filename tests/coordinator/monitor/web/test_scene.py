@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tests import browser
+from tests.browser import expect
+from tests.common import PATIENCE
 from tests.coordinator.monitor.web.conftest import free_port, serving
 from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, HandMadeRecords, finds, random_finds
 from tests.coordinator.scenes import made_scene
@@ -33,28 +35,28 @@ ALONE = """async () => {
   stage.append(canvas);
   Object.assign(stage.style, { position: "relative", width: "600px", height: "500px" });
   Object.assign(canvas.style, { position: "absolute", width: "600px", height: "500px" });
-  const { SceneView } = await import("/static/scene.js");
+  const { SceneView } = await import("/static/scene/scene_view.js");
   window.view = new SceneView(canvas, "/api", "mug", "mug");
   view.onselect = (grasp) => (window.grasp = grasp);
   view.onstatus = (words) => (window.words = words);
   await view.start();
 }"""
 PLACE = """(number) => {
-  const { stage, cells } = view, place = view.cast.mark.position.clone();
-  place.fromArray(cells.cell(cells.slotOf(number))).multiplyScalar(0.01).project(stage.lens.camera);
+  const { renderer, cells } = view, place = view.objects.mark.position.clone();
+  place.fromArray(cells.cell(cells.slotOf(number))).multiplyScalar(0.01).project(renderer.projection.camera);
   const { left, top, width, height } = view.canvas.getBoundingClientRect();
   return [left + (width * (1 + place.x)) / 2, top + (height * (1 - place.y)) / 2];
 }"""
 RESTS = """() => new Promise((done) => {
   let drawn = -1, frames = 0;
   const look = () => {
-    frames = view.stage.drawn === drawn ? frames + 1 : 0;
-    drawn = view.stage.drawn;
+    frames = view.renderer.drawn === drawn ? frames + 1 : 0;
+    drawn = view.renderer.drawn;
     frames < 40 ? requestAnimationFrame(look) : done(drawn);
   };
   look();
 })"""
-STAND = """(are) => view.cast.hand.visible === are && view.cast.mark.visible === are"""
+STAND = """(are) => view.objects.hand.visible === are && view.objects.mark.visible === are"""
 """Whether the hand, and the mark at its cell, are there."""
 CONTENT = """() => Object.fromEntries(Array.from({ length: view.cells.size }, (_, slot) => slot).map(
   (slot) => [view.cells.number(slot), [...view.cells.cell(slot), view.cells.kind(slot)]]))"""
@@ -71,7 +73,7 @@ def records() -> HandMadeRecords:
 @pytest.fixture
 def place(records: HandMadeRecords) -> Iterator[str]:
     feed = FakeFeed()
-    feed.step()
+    feed.step(time.time() + PATIENCE)  # it stays live however slow the browser is
     with serving(feed, free_port(), library=RunCaches(records)) as address:
         yield f"{address}/#job=mug"
 
@@ -94,12 +96,6 @@ def visited(chromium: Any, place: str, **looks: Any) -> Iterator[Page]:
     yield visit.page
     visit.context.close()
     assert [words for words in visit.complaints if not (BARE in place and FAVICON in words)] == []
-
-
-def expect(what: Any) -> Any:
-    from playwright.sync_api import expect as expected
-
-    return expected(what)
 
 
 def test_all_cells_are_there_and_counted_by_kind(page: Page) -> None:
@@ -129,10 +125,10 @@ def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRe
 def test_another_job_of_the_same_name_is_shown_with_its_own_object(
     alone: Page, records: HandMadeRecords
 ) -> None:
-    assert alone.evaluate("[view.told.gripper, view.cells.size]") == ["jaw", 4]
+    assert alone.evaluate("[view.description.gripper, view.cells.size]") == ["jaw", 4]
     many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
     records.become(made_scene("claw"), JournalId("2" * 64, 2.0), many)
-    alone.wait_for_function("() => view.cast?.told.gripper === 'claw' && view.cells.size === 30")
+    alone.wait_for_function("() => view.objects?.description.gripper === 'claw' && view.cells.size === 30")
 
 
 def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
@@ -185,7 +181,7 @@ def test_a_click_on_a_voxel_chooses_its_grasp(alone: Page, number: int) -> None:
 
 def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
     alone.mouse.click(20, 20)
     alone.wait_for_function("() => window.grasp === null")
     alone.wait_for_function(STAND, arg=False)
@@ -193,10 +189,10 @@ def test_a_click_beside_all_voxels_lets_the_grasp_go(alone: Page) -> None:
 
 def test_the_hand_stands_where_the_server_says(alone: Page, records: HandMadeRecords) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
     told = alone.evaluate("grasp.links")
     stands = alone.evaluate(
-        "() => { view.stage.things.updateMatrixWorld(); return view.cast.hand.children.map("
+        "() => { view.renderer.scene.updateMatrixWorld(); return view.objects.hand.children.map("
         "(link) => link.matrixWorld.clone().transpose().toArray()) }"
     )
     assert np.allclose(stands, list(told.values()), atol=1e-9)
@@ -230,12 +226,12 @@ def test_nothing_is_drawn_while_nothing_changes(alone: Page) -> None:
 
 
 def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
-    alone.evaluate("window.card = view.stage.renderer.getContext().getExtension('WEBGL_lose_context')")
+    alone.evaluate("window.card = view.renderer.webgl.getContext().getExtension('WEBGL_lose_context')")
     alone.evaluate("card.loseContext()")
     alone.wait_for_function("() => window.words.startsWith('The graphics were lost')")
-    drawn = alone.evaluate("view.stage.drawn")
+    drawn = alone.evaluate("view.renderer.drawn")
     alone.evaluate("card.restoreContext()")
-    alone.wait_for_function("(drawn) => view.stage.drawn > drawn", arg=drawn)
+    alone.wait_for_function("(drawn) => view.renderer.drawn > drawn", arg=drawn)
     alone.mouse.click(*alone.evaluate(PLACE, 9))
     alone.wait_for_function("() => window.grasp")
     assert alone.evaluate("grasp.number") == 9
@@ -243,11 +239,11 @@ def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
 
 def test_a_view_that_was_stopped_holds_nothing(alone: Page, records: HandMadeRecords) -> None:
     alone.evaluate("view.select(8)")
-    alone.wait_for_function("() => window.grasp && view.cast.hand.visible")
+    alone.wait_for_function("() => window.grasp && view.objects.hand.visible")
     alone.evaluate(RESTS)
-    assert alone.evaluate("view.stage.renderer.info.memory.geometries") > 0
+    assert alone.evaluate("view.renderer.webgl.info.memory.geometries") > 0
     alone.evaluate("view.stop()")
-    assert alone.evaluate("view.stage.renderer.info.memory.geometries") == 0
+    assert alone.evaluate("view.renderer.webgl.info.memory.geometries") == 0
     assert alone.evaluate("document.querySelectorAll('.scene-axes').length") == 0
 
 
@@ -256,13 +252,13 @@ def test_where_motion_is_unwelcome_new_cells_do_not_flash(chromium: Any, place: 
         page.evaluate(ALONE)
         records.record(finds([12], [(0, 0, 9)], [Outcome.HELD]))
         page.wait_for_function("() => window.words === '5 cells of 1 cm'")
-        assert not page.evaluate("view.cast.voxels.glows(performance.now() / 1000)")
+        assert not page.evaluate("view.objects.voxels.glows(performance.now() / 1000)")
 
 
 def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> None:
     state = (
-        "[...view.stage.lens.camera.position.toArray(), view.stage.lens.scale, "
-        "...view.stage.controls.target.toArray()]"
+        "[...view.renderer.projection.camera.position.toArray(), view.renderer.projection.scale, "
+        "...view.renderer.controls.target.toArray()]"
     )
     first = alone.evaluate(state)
     alone.locator("canvas").focus()
@@ -278,7 +274,7 @@ def test_keys_turn_move_and_zoom_and_home_takes_all_of_it_back(alone: Page) -> N
 
 
 def test_plus_shows_things_larger_and_minus_smaller(alone: Page) -> None:
-    scale = "view.stage.lens.scale"
+    scale = "view.renderer.projection.scale"
     alone.locator("canvas").focus()
     first = alone.evaluate(scale)
     alone.keyboard.press("+")
@@ -291,11 +287,11 @@ def test_plus_shows_things_larger_and_minus_smaller(alone: Page) -> None:
 def test_what_takes_long_is_drawn_coarsely_and_finely_again_when_it_does_not(alone: Page) -> None:
     finest, coarsest, again = alone.evaluate(
         """async () => {
-          const { Pace } = await import("/static/scene/pace.js");
-          const pace = new Pace(), levels = [pace.level];
+          const { RenderQuality } = await import("/static/scene/renderer.js");
+          const quality = new RenderQuality(), levels = [quality.level];
           for (const ms of [90, 8]) {
-            for (let frame = 0; frame < 40; frame++) pace.took(ms);
-            levels.push(pace.level);
+            for (let frame = 0; frame < 40; frame++) quality.addFrame(ms);
+            levels.push(quality.level);
           }
           return levels;
         }"""
@@ -309,7 +305,7 @@ def test_another_view_may_take_over_the_canvas(alone: Page) -> None:
     alone.evaluate("view.stop()")
     alone.evaluate(
         """async () => {
-          const { SceneView } = await import("/static/scene.js");
+          const { SceneView } = await import("/static/scene/scene_view.js");
           window.view = new SceneView(document.querySelector("canvas"), "/api", "mug", "mug");
           view.onselect = (grasp) => (window.grasp = grasp);
           await view.start();

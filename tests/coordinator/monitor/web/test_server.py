@@ -227,18 +227,18 @@ def test_whoever_asks_nothing_is_let_go(
 
 
 def test_a_stream_that_was_asked_for_goes_on(feed: FakeFeed, monkeypatch: pytest.MonkeyPatch) -> None:
-    looked, leave = threading.Event(), server.LimitedConnection.leave
+    looked, leave = threading.Event(), server.LimitedConnection.close_if_idle
 
     def leave_later(self: server.LimitedConnection) -> None:
         """Look whether something was asked when it was: on a busy machine a question may be late."""
         if self.cycle is None:
-            self.loop.call_later(0.01, self.leave)
+            self.loop.call_later(0.01, self.close_if_idle)
         else:
             leave(self)
             looked.set()
 
     monkeypatch.setattr(server, "FIRST_REQUEST_SECONDS", 0.1)
-    monkeypatch.setattr(server.LimitedConnection, "leave", leave_later)
+    monkeypatch.setattr(server.LimitedConnection, "close_if_idle", leave_later)
     with serving(feed, free_port()) as address:
         stream = urlopen(f"{address}/api/stream", timeout=PATIENCE)  # noqa: S310 - our own
         assert looked.wait(PATIENCE)

@@ -1,9 +1,12 @@
-// Solids: triangle meshes with creases where they have edges, lit calmly from beside the viewer.
+// Triangle meshes with creases where they have edges, lit from beside the viewer; the hand; edges of a box.
 
-import { BufferAttribute, BufferGeometry, Color, DoubleSide, FrontSide, GLSL3, RawShaderMaterial } from "../vendor/three/three.module.min.js";
+import {
+  BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, EdgesGeometry, FrontSide, GLSL3, Group, LineSegments, Matrix4,
+  Mesh, RawShaderMaterial,
+} from "../vendor/three/three.module.min.js";
 
 const CREASE = 0.7; // cosine: faces that meet at a sharper angle keep an edge
-const VERTEX = `
+const MESH_VERTEX = `
 in vec3 position;
 in vec3 normal;
 uniform mat4 modelViewMatrix, projectionMatrix;
@@ -13,7 +16,7 @@ void main() {
   n = normalMatrix * normal;
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
 }`;
-const FRAGMENT = `
+const MESH_FRAGMENT = `
 precision highp float;
 uniform vec3 colour;
 uniform float solidity;
@@ -28,13 +31,13 @@ void main() {
 }`;
 
 /** A material in a colour; `solidity` below 1 makes it glass whose edges show. */
-export function paint(colour, solidity = 1) {
+export function meshMaterial(colour, solidity = 1) {
   const glass = solidity < 1;
   return new RawShaderMaterial({
     glslVersion: GLSL3,
-    uniforms: { colour: { value: raw(colour) }, solidity: { value: solidity } },
-    vertexShader: VERTEX,
-    fragmentShader: FRAGMENT,
+    uniforms: { colour: { value: drawnColour(colour) }, solidity: { value: solidity } },
+    vertexShader: MESH_VERTEX,
+    fragmentShader: MESH_FRAGMENT,
     transparent: glass,
     premultipliedAlpha: true,
     depthWrite: !glass,
@@ -43,12 +46,12 @@ export function paint(colour, solidity = 1) {
 }
 
 /** A CSS colour as it is drawn: no conversion between colour spaces. */
-export function raw(colour) {
+export function drawnColour(colour) {
   return new Color().setStyle(colour, "srgb-linear");
 }
 
 /** The geometry of a mesh as the server sends it. */
-export function solid({ positions, indices }) {
+export function meshGeometry({ positions, indices }) {
   return creased(new Float32Array(bytes(positions)), new Uint32Array(bytes(indices)));
 }
 
@@ -105,4 +108,79 @@ function facesAround(count, corners) {
   const place = first.slice();
   for (let corner = 0; corner < corners.length; corner++) faces[place[corners[corner]]++] = (corner / 3) | 0;
   return { first, faces };
+}
+
+const PALM = 0.42; // solidity
+
+/** The hand: its links in the frames that the server gives; fingers solid, the palm like glass. */
+export class HandMesh extends Group {
+  #links = new Map();
+
+  /** @param links the scene's, each with its name, mesh and whether it is a finger */
+  constructor(links, colour) {
+    super();
+    this.visible = false;
+    for (const { name, finger, mesh } of links) {
+      const link = new Mesh(meshGeometry(mesh), meshMaterial(colour, finger ? 1 : PALM));
+      link.renderOrder = finger ? 2 : 3;
+      link.matrixAutoUpdate = false;
+      this.#links.set(name, link);
+      this.add(link);
+    }
+  }
+
+  /** Place the links: `links` has the frame of each, 4 x 4 row by row; null: hide the hand. */
+  pose(links) {
+    this.visible = Boolean(links);
+    if (links) for (const [name, link] of this.#links) link.matrix.copy(new Matrix4().set(...links[name]));
+  }
+
+  recolour(colour) {
+    for (const link of this.#links.values()) link.material.uniforms.colour.value = drawnColour(colour);
+  }
+
+  dispose() {
+    for (const link of this.#links.values()) {
+      link.geometry.dispose();
+      link.material.dispose();
+    }
+  }
+}
+
+const EDGE_VERTEX = `
+in vec3 position;
+uniform mat4 modelViewMatrix, projectionMatrix;
+void main() { gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`;
+const EDGE_FRAGMENT = `
+precision highp float;
+uniform vec3 colour;
+out vec4 painted;
+void main() { painted = vec4(colour, 1.0); }`;
+
+/** The edges of a box, drawn over everything. */
+export class BoxEdges extends LineSegments {
+  constructor(colour) {
+    const uniforms = { colour: { value: drawnColour(colour) } };
+    const looks = { glslVersion: GLSL3, uniforms, vertexShader: EDGE_VERTEX, fragmentShader: EDGE_FRAGMENT, depthTest: false };
+    super(new EdgesGeometry(new BoxGeometry(1, 1, 1)), new RawShaderMaterial(looks));
+    this.visible = false;
+    this.renderOrder = 4;
+  }
+
+  /** Show the box between two corners [m]; without any: hide it. */
+  span(low = null, high = null) {
+    this.visible = Boolean(low);
+    if (!low) return;
+    this.position.set(...low.map((from, axis) => (from + high[axis]) / 2));
+    this.scale.set(...low.map((from, axis) => high[axis] - from));
+  }
+
+  recolour(colour) {
+    this.material.uniforms.colour.value = drawnColour(colour);
+  }
+
+  dispose() {
+    this.geometry.dispose();
+    this.material.dispose();
+  }
 }

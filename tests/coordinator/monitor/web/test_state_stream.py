@@ -16,16 +16,16 @@ from tests.common import PATIENCE
 from tests.coordinator.monitor.web.conftest import HERE, free_port, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 
-from qdgrasp_coordinator.monitor.web import event_stream
-from qdgrasp_coordinator.monitor.web.event_stream import (
+from qdgrasp_coordinator.monitor.web import state_stream
+from qdgrasp_coordinator.monitor.web.routes import live_site
+from qdgrasp_coordinator.monitor.web.server import serve
+from qdgrasp_coordinator.monitor.web.state_stream import (
     GZIP_HEADER,
     MAX_BROWSERS,
     Broadcast,
     EventFrame,
     EventStream,
 )
-from qdgrasp_coordinator.monitor.web.routes import LiveSite
-from qdgrasp_coordinator.monitor.web.server import serve
 from qdgrasp_protocol.errors import EndpointError
 from qdgrasp_protocol.process import Stop
 
@@ -159,7 +159,7 @@ def test_packed_frames_go_into_any_stream() -> None:
 
 
 def test_a_browser_that_takes_nothing_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(event_stream, "STUCK_SECONDS", 0.05)
+    monkeypatch.setattr(state_stream, "STUCK_SECONDS", 0.05)
 
     async def work() -> None:
         shown = Broadcast(States(), 0.001)
@@ -259,4 +259,4 @@ def test_a_place_that_is_taken_is_said(feed: FakeFeed) -> None:
     with socket.create_server((HERE, 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(EndpointError, match=f"{HERE}:{port}: Address already in use; name another place"):
-            serve(LiveSite(feed, FakeLibrary()), HERE, port, "", Stop(), print)
+            serve(live_site(feed, FakeLibrary()), HERE, port, "", Stop(), print)

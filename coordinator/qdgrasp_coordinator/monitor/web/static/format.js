@@ -1,4 +1,4 @@
-// Words: numbers, times and sizes as a person reads them.
+// Numbers, times and sizes as a person reads them.
 
 const THIN = "\u202f";
 const counts = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
