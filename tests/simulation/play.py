@@ -143,12 +143,13 @@ class Faults:
 
 
 SMALL = [
-    (recorder_client, "SLICE", 4),
-    (recorder_client, "BOUND", 8),
-    (recorder_client, "PAGE", 7),
-    (dispatcher, "REMEMBERED", 30),
+    (recorder_client, "MESSAGE_ROWS", 4),
+    (recorder_client, "MOST_UNCONFIRMED", 8),
+    (recorder_client, "REPLAY_ROWS", 7),
+    (dispatcher, "MOST_SETTLED", 30),
+    (run_writer, "GROUP_ROWS", 6),
+    (run_writer, "MOST_WAITING", 150),
 ]
-SMALL += [(run_writer, "GROUP_ROWS", 6), (run_writer, "CAPACITY", 150)]
 """Bounds that small histories reach."""
 
 
