@@ -156,8 +156,8 @@ def take_turns(
             bus,
             turns.stop,
             job=JOB,
-            programme=Several(runs),
-            make_record=lambda run: PlatformSink(run.shape),
+            queue=Several(runs),
+            make_sink=lambda run: PlatformSink(run.shape),
             batch_size=BATCH,
         )
         service.run(lambda now: turns.look(now, service))

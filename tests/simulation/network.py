@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Protocol
 
-from qdgrasp_coordinator.scheduler.job_scheduler import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol.bus import Channel, Query, Sample
 from qdgrasp_protocol.errors import NoReply
 

@@ -213,6 +213,6 @@ def _play(history: History, trace: bool) -> Verdict:
         verdict.violated.__cause__ = error
     verdict.seconds, verdict.events, verdict.trace = world.now, world.events, world.trace or []
     coordinators = stage.of(Coordinator, living=False)
-    verdict.counters = coordinators[-1].turn.dispatch.counters if coordinators else {}
+    verdict.counters = coordinators[-1].scheduler.dispatcher.counters if coordinators else {}
     verdict.journals = {run: paper.journal for run, paper in stage.disk.papers.items()}
     return verdict

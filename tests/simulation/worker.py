@@ -17,7 +17,7 @@ from tests.coordinator.scheduler.search_plans import Task
 from tests.simulation.network import Network, World
 from tests.simulation.process import Life, Listen, Process
 
-from qdgrasp_coordinator.scheduler.job_scheduler import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel, Declaration, Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError

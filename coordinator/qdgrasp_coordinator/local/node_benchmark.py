@@ -113,14 +113,14 @@ class SceneBenchmark:
         watch, steps = RestartPolicy(crew, self._display), self._steps(crew, endpoint)
 
         def look(now: float) -> None:
-            watch.progressed(service.figures(now))
+            watch.progressed(service.status(now))
             watch.look(now)
             if next(steps, _END) is _END:
                 over.set(0)
 
         programme = SingleRunQueue(lambda: self._assignment, ENDLESS)
         service = CoordinatorService(
-            bus, over, job=BENCH_JOB, programme=programme, make_record=lambda _: self._record
+            bus, over, job=BENCH_JOB, queue=programme, make_sink=lambda _: self._record
         )
         with bus.subscribe(Keys(BENCH_JOB).result(), self._stopwatch.take):
             service.run(look)

@@ -82,13 +82,13 @@ class LocalSession:
             self.bus,
             stop,
             job=self.job,
-            programme=programme,
-            make_record=make_record,
+            queue=programme,
+            make_sink=make_record,
             batch_size=batch_size,
         )
 
         def step(now: float) -> None:
-            figures = service.figures(now)
+            figures = service.status(now)
             self.watch.progressed(figures)
             self.watch.look(now)
             self.display.show(figures)

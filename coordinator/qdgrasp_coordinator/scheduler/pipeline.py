@@ -40,6 +40,12 @@ class Generation:
     genomes: Genomes
     """(n, d)."""
 
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, places: slice) -> "Generation":
+        return Generation(self.number, self.indices[places], self.trials[places], self.genomes[places])
+
 
 class GenerationBuffer:
     """One generation that is asked and not yet told.

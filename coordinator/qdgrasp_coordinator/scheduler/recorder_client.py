@@ -45,7 +45,7 @@ class RowSink(ABC):
         """
 
     @abstractmethod
-    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """Return recorded rows from number `first` on, some if there are any."""
 
     @abstractmethod
@@ -61,11 +61,11 @@ class RowSink(ABC):
         """Send what is due."""
 
     @abstractmethod
-    def heard(self, message: Recorded, now: float) -> None:
+    def on_report(self, message: Recorded, now: float) -> None:
         """Process a recorder's report."""
 
     @abstractmethod
-    def recorder_up(self, now: float) -> None:
+    def on_recorder_up(self, now: float) -> None:
         """A recorder appeared."""
 
     @property
@@ -102,7 +102,7 @@ class MemorySink(RowSink):
         """Return that nothing is recorded."""
         return Opened(epoch=1, durable=[0], platform={})
 
-    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """Return no rows."""
         return JournalSlice(first, self._shape.empty(0))
 
@@ -117,10 +117,10 @@ class MemorySink(RowSink):
     def tick(self, now: float) -> None:
         """Do nothing."""
 
-    def heard(self, message: Recorded, now: float) -> None:
+    def on_report(self, message: Recorded, now: float) -> None:
         """Do nothing: there is no recorder."""
 
-    def recorder_up(self, now: float) -> None:
+    def on_recorder_up(self, now: float) -> None:
         """Do nothing."""
 
     @property
@@ -186,10 +186,10 @@ class Outbox:
             self._kept.append(stretch)
             self._end = stretch.stop
 
-    def due(self, now: float) -> list[JournalSlice]:
+    def take_due(self, now: float) -> list[JournalSlice]:
         """Return what is to be sent now, in slices, and count it as sent."""
         if self._is_waiting and now >= self._progress + RESEND_AFTER:
-            self._resend(now)
+            self.resend(now)
         if self._sent == self._end:
             return []
         if not self._is_waiting:
@@ -201,7 +201,7 @@ class Outbox:
             rest.part(first, first + MESSAGE_ROWS) for first in range(rest.first, rest.stop, MESSAGE_ROWS)
         ]
 
-    def durable(self, number: int, now: float) -> None:
+    def confirm(self, number: int, now: float) -> None:
         """Record that `number` rows are durable.
 
         Raises
@@ -209,7 +209,7 @@ class Outbox:
         RecorderFellBack
             The recorder has fewer rows than it reported before, or more than were ever sent: start again
             from its journal. A lower number may also have been overtaken by a higher one on its way, so
-            it is believed only when nothing else was heard for `DOUBT` seconds.
+            it is believed only when nothing else was heard for `DOUBT_SECONDS`.
         """
         if number < self.confirmed or number > self._end:
             self._doubt(number, now)
@@ -219,18 +219,15 @@ class Outbox:
             self._progress = now
             self._forget(number)
 
-    def recorder_up(self, now: float) -> None:
+    def resend(self, now: float) -> None:
         """Have all unconfirmed rows sent again: a new recorder may have missed them."""
-        self._resend(now)
+        self._sent = self.confirmed
+        self._progress = now
 
     @property
     def _is_waiting(self) -> bool:
         """True if rows were sent that are not confirmed."""
         return self._sent > self.confirmed
-
-    def _resend(self, now: float) -> None:
-        self._sent = self.confirmed
-        self._progress = now
 
     def _forget(self, number: int) -> None:
         self.confirmed = number
@@ -287,7 +284,7 @@ class RecorderClient(RowSink):
         self._platform = opened.platform
         return opened
 
-    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """A page of rows from the recorder's journal.
 
         Raises
@@ -328,7 +325,7 @@ class RecorderClient(RowSink):
         """Tell the recorder the platform, again before each burst of rows: one may have been lost."""
         self._platform = platform
 
-    def heard(self, message: Recorded, now: float) -> None:
+    def on_report(self, message: Recorded, now: float) -> None:
         """Take note of what is durable."""
         if message.epoch > self._epoch > 0:
             raise TookOver(self._job, message.epoch)
@@ -336,17 +333,17 @@ class RecorderClient(RowSink):
             return
         self.trouble = message.trouble
         try:
-            self._outbox.durable(message.durable, now)
+            self._outbox.confirm(message.durable, now)
         except RecorderFellBack as fallen:
             raise fallen.of(self._run) from None
 
-    def recorder_up(self, now: float) -> None:
+    def on_recorder_up(self, now: float) -> None:
         """A recorder appeared: send again what is not durable."""
-        self._outbox.recorder_up(now)
+        self._outbox.resend(now)
 
     def tick(self, now: float) -> None:
         """Send the rows that are due."""
-        parts = self._outbox.due(now)
+        parts = self._outbox.take_due(now)
         if parts:
             self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=self._platform))
         for part in parts:

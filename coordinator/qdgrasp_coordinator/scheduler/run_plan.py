@@ -61,7 +61,7 @@ class RunPlan:
     """The budget."""
 
     @property
-    def opening(self) -> OpenRun:
+    def open_request(self) -> OpenRun:
         """Message that opens the run at a recorder."""
         return OpenRun(
             run=self.run,

@@ -224,8 +224,8 @@ class Job:
             self.bus,
             self.stop,
             job=JOB,
-            programme=self.programme,
-            make_record=self._record,
+            queue=self.programme,
+            make_sink=self._record,
             batch_size=2,
             seconds=seconds,
         )
@@ -240,7 +240,7 @@ class Job:
         with ExitStack() as stack:
             for number in range(workers):
                 stack.enter_context(FakeWorker(self.network.session(), f"{number:032x}").at_work())
-            self.service.run(lambda now: self.open.append(self.service.figures(now).runs_open))
+            self.service.run(lambda now: self.open.append(self.service.status(now).runs_open))
 
     @contextmanager
     def serving(self) -> Iterator[threading.Thread]:
