@@ -79,9 +79,9 @@ class ConvexPartsReport(Struct, frozen=True, kw_only=True):
     source: str
     """"own hull" or "coacd"."""
     filled: float
-    """The share of the surface in front of which they fill the room that a finger has, 0 to 1."""
+    """Share of the surface in front of which they fill free space, 0 to 1."""
     bare: float
-    """The share of the surface that all of them are behind, 0 to 1."""
+    """Share of the surface that is outside all of them, 0 to 1."""
 
     @property
     def words(self) -> str:

@@ -26,7 +26,7 @@ class CatalogEntry:
 
     name: str
     source: str
-    """"built in", "asset path", "fetched" or "absent"."""
+    """Source: "built in", "asset path", "fetched" or "absent"."""
     licence: str
 
     @property
@@ -161,12 +161,12 @@ def object_names() -> tuple[str, ...]:
 
 
 def grippers() -> tuple[CatalogEntry, ...]:
-    """The grippers whose files are there."""
+    """Return the grippers whose files are there."""
     return tuple(listing for listing in every_gripper() if listing.is_there)
 
 
 def objects() -> tuple[CatalogEntry, ...]:
-    """The stand-ins, and the scans that are there."""
+    """Return the stand-ins, and the scans that are there."""
     return tuple(listing for listing in every_object() if listing.is_there)
 
 

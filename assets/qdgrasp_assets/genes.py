@@ -135,7 +135,7 @@ def _around_object(scene: Scene) -> Box:
 
 
 def _around_ball(scene: Scene) -> Box:
-    """The ball about the centre of mass that spherical positions fill."""
+    """Return the box of the ball about the centre of mass that spherical positions fill."""
     corner = np.full(3, spherical_radius(scene))
     return -corner, corner
 

@@ -79,7 +79,7 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
 
     name: str
     source: str
-    """"built in", "asset path" or a file's name."""
+    """Source: "built in", "asset path" or a file's name."""
     licence: str
     urdf: str
     """URDF with the carrier; at carrier zero its root coincides with the hand's base link."""

@@ -86,7 +86,8 @@ def scan_differences(mesh: Mesh, scan: Scan) -> tuple[str, ...]:
     found = []
     if not np.allclose(mesh.extents, scan.extents, rtol=0, atol=EXTENTS_TOLERANCE):
         found.append(
-            f"it is {lengths_in_words(mesh.extents)} m large instead of {lengths_in_words(np.array(scan.extents))} m"
+            f"it is {lengths_in_words(mesh.extents)} m large instead of "
+            f"{lengths_in_words(np.array(scan.extents))} m"
         )
     if not np.isclose(mesh.volume, scan.volume, rtol=VOLUME_TOLERANCE, atol=0):
         found.append(f"it encloses {mesh.volume * 1e6:.2f} cm3 instead of {scan.volume * 1e6:.2f} cm3")
@@ -133,7 +134,7 @@ class ArchivePin(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
     """sha256 of the mesh file in the archive."""
 
     def difference(self, other: "ArchivePin") -> str | None:
-        """Describe the first difference from `other`; values that are None are not compared."""
+        """Describe the first difference from `other`; unknown values are not compared."""
         for field, words in (
             ("size", "{} bytes"),
             ("sha256", "sha256 {}"),

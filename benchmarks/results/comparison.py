@@ -225,10 +225,10 @@ def _pooled(fought: Sequence[MethodComparison]) -> Iterator[tuple[str, ...]]:
     groups: dict[tuple[str, str, Figure], list[MethodComparison]] = {}
     for duel in fought:
         groups.setdefault((duel.ours.key.gripper, duel.theirs.method, duel.figure), []).append(duel)
-    for (hand, method, figure), group in groups.items():
+    for (hand, rival, figure), group in groups.items():
         if len(group) > 1:
             found = _interval([duel.differences(figure) for duel in group])
-            yield hand, method, str(len(group)), figure.words, *_number(found, figure), verdict(found)
+            yield hand, rival, str(len(group)), figure.words, *_number(found, figure), verdict(found)
 
 
 def _losses(fought: Sequence[MethodComparison]) -> Iterator[str]:

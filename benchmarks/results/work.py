@@ -123,7 +123,7 @@ class _Budgets:
 
 
 NAME_DIGITS = 12
-SEARCHING = ("counts/cells", "counts/tally", "runs/generation", "runs/pipeline")
+SEARCHING = ("metrics/cells", "metrics/run_stats", "scheduler/pipeline")
 """Modules of the coordinator, beside the searches, that have a say in what is asked."""
 
 
@@ -192,7 +192,7 @@ def workplace(home: Path) -> Path:
 def _search_digest() -> bytes:
     """The sha256 over the sources of the searches, and of what asks them."""
     here = Path(str(qdgrasp_coordinator.__file__)).parent
-    sources = [*(here / f"{name}.py" for name in SEARCHING), *sorted(here.glob("searches/*.py"))]
+    sources = [*(here / f"{name}.py" for name in SEARCHING), *sorted(here.glob("search/*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).digest()
 
 

@@ -12,12 +12,12 @@ CHUNK_SIZE = 512 << 10  # Bytes of a bundle in one answer
 
 
 class TooLarge(MessageError):
-    """A scene that is larger than one can be.
+    """Error for a scene larger than the limit.
 
     Parameters
     ----------
     total
-        Its chunks.
+        Its number of chunks.
     """
 
     def __init__(self, total: int) -> None:
@@ -25,7 +25,7 @@ class TooLarge(MessageError):
 
 
 def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
-    """The chunk of a bundle that a query names by `i=<number>`.
+    """Return the chunk of a bundle that a query names by `i=<number>`.
 
     Raises
     ------
@@ -43,21 +43,21 @@ def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
 
 
 def fetch_bundle(bus: Bus, job: str, digest: str) -> bytes:
-    """All bytes of a bundle, from the coordinator of a job; raises as `gather`."""
+    """Fetch all bytes of a bundle from the coordinator of a job; raises as `gather`."""
     return fetch_bundle_from(bus, Keys(job).asset(digest), digest)
 
 
 def fetch_bundle_from(bus: Bus, key: str, digest: str) -> bytes:
-    """All bytes of a bundle, from whoever answers on `key`.
+    """Fetch all bytes of a bundle, chunk by chunk, from `key`.
 
     Raises
     ------
     NoReply, Refused
-        Nobody answers there, or there is no such scene.
+        `key` is not answered, or there is no such scene.
     TooLarge
         It is larger than a scene can be.
     MessageError
-        What came is not the scene of that digest.
+        The bytes are not the scene of that digest.
     """
     first = messages.decode(bus.ask(key, parameters="i=0"), Chunk)
     if first.total * CHUNK_SIZE > messages.MAX_BUNDLE:

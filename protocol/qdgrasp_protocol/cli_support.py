@@ -42,7 +42,7 @@ InsecureOption = Annotated[
 
 
 def _print_version(context: typer.Context, wanted: bool) -> None:
-    """Print which version this is, and end."""
+    """Print the version, and end."""
     if wanted:
         typer.echo(f"{context.info_name} {version('qdgrasp')}")
         raise typer.Exit
@@ -52,7 +52,7 @@ VersionOption = Annotated[
     bool,
     typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version, and end."),
 ]
-"""Taken by every command that stands alone; what it does is done before the command's function is called."""
+"""The --version option of every stand-alone command, handled before the command's function."""
 
 
 BOUND_PREFIX = "Input should be "  # What a word begins with about a number that is out of bounds, or none
@@ -60,12 +60,12 @@ CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
 
 
 def usage_error(error: TyperException, name: str) -> str:
-    """What a command line is refused with: what is wrong, and which help tells more.
+    """Describe the error in a command line, and name the help to read.
 
     Parameters
     ----------
     name
-        Of the program, for errors that do not know their command.
+        Name of the program, for errors that do not know their command.
     """
     context = getattr(error, "ctx", None)
     command = name if context is None else context.command_path
@@ -84,7 +84,7 @@ def _usage_words(error: TyperException) -> str:
 
 
 def _faults(error: TyperException) -> Iterator[dict[str, str]]:
-    """What the library says that looks at values; it is not loaded where there is none of its errors."""
+    """Yield the faults of a validation error; avoids importing the library that raises it."""
     faults = getattr(error.__cause__, "errors", None)
     if callable(faults):
         yield from faults()
@@ -94,7 +94,7 @@ SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to
 
 
 def run_command(app: typer.Typer, name: str) -> None:
-    """Run a command line; what goes wrong ends it with a sentence on standard error and an exit code."""
+    """Run a command line; an error ends it with a sentence on stderr and an exit code."""
     try:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_on_signal)
@@ -124,14 +124,14 @@ def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
 
 
 def _exit_at_once(number: int, _frame: FrameType | None) -> None:
-    """End a command that is done already; Python itself prints a trace where its end is disturbed."""
+    """End a finished command at once; Python would print a traceback if disturbed at its end."""
     os._exit(128 + number)
 
 
 def _start_forced_exit() -> None:
-    """End this process some time after a signal: it may be in a call that lets nobody hear one for minutes.
+    """End this process some time after a signal, even in a call that blocks its handlers.
 
-    The kernel's note of a signal comes at once, and to another thread. There are none within a `lifetime`.
+    The signal's number comes through a pipe at once, and to another thread. Not used within a `lifetime`.
     """
     end, begin = os.pipe()
     os.set_blocking(begin, False)
@@ -147,7 +147,7 @@ def _wait_for_signal(end: int) -> None:
 
 
 def _print_usage_error(name: str, error: TyperException) -> int:
-    """Say what was wrong with a command line; one with nothing in it is answered with the whole help."""
+    """Report a wrong command line and return its exit code; an empty one prints the help."""
     words = error.format_message()
     if words.startswith("Usage: "):
         print(words, file=sys.stderr, flush=True)  # noqa: T201  # help is for a person who asked for nothing else
@@ -164,5 +164,5 @@ def _print_error(name: str, sentence: str, code: int) -> int:
 
 
 def _printable_lines(sentence: str) -> str:
-    """The lines of a sentence, in which there may be words of others."""
+    """Return the lines of a sentence, escaped, as it may contain untrusted text."""
     return "\n".join(map(printable, sentence.split("\n")))

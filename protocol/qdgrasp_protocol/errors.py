@@ -54,7 +54,7 @@ from qdgrasp_protocol.text import first_few, quoted
 
 
 class QdgraspError(Exception):
-    """The root of the family. `exit_code` is what a command that ends with it returns."""
+    """Base class of all errors; `exit_code` is that of a command that ends with it."""
 
     exit_code = 1
 
@@ -95,7 +95,7 @@ class UnknownKey(InputError):
 
 
 def _guess(name: str, names: Sequence[str]) -> str:
-    """Which of the names may have been meant, in a sentence; empty: none is near."""
+    """Suggest the name that may have been meant, in a sentence; empty if no name is near."""
     close = get_close_matches(name, names, n=1)
     return f" Did you mean '{close[0]}'?" if close else ""
 
@@ -112,7 +112,7 @@ class AssetError(InputError):
 
 
 class WrongScan(AssetError):
-    """What was fetched is not what it must be; it was thrown away."""
+    """Fetched data that is not the expected scan; it was deleted."""
 
     def __init__(self, name: str, reason: object) -> None:
         super().__init__(f"What was fetched for '{name}' was thrown away: {reason}")
@@ -142,12 +142,12 @@ class FolderError(InputError):
 
 
 class NoFolder(FolderError):
-    """A path where the folder of a run or of a job is to be, and none is.
+    """A path that should be the folder of a run or job, and is not.
 
     Parameters
     ----------
     path
-        What was named.
+        The path that was named.
     is_there
         Whether something else is there.
     """
@@ -161,20 +161,20 @@ class NoFolder(FolderError):
 
 
 class DiskFull(FolderError):
-    """There is no room to write in a run folder; what was written before is whole."""
+    """No disk space to write in a run folder; earlier content is intact."""
 
 
 class OutputError(FolderError):
-    """A path where something cannot be written; what is there was left as it was.
+    """A path that cannot be written; its old content is unchanged.
 
     Parameters
     ----------
     path
-        Where it was to be written.
+        The path.
     why
-        What is there, or what went wrong.
+        The obstacle or the failure.
     instead
-        What to do; empty: that is plain.
+        Advice; empty where it is obvious.
     forces
         Whether `--force` helps too.
     """
@@ -185,16 +185,16 @@ class OutputError(FolderError):
 
 
 class OtherRun(FolderError):
-    """A journal in a folder whose other files are of another run: one of them is in the wrong place.
+    """A journal in a folder whose other files are of another run.
 
     Parameters
     ----------
     journal
         The journal.
     file
-        What is of another run.
+        The file of another run.
     of, than
-        What each is of, in words; of the same kind.
+        Descriptions of their runs, of the same kind.
     """
 
     def __init__(self, journal: object, file: object, of: str, than: str) -> None:
@@ -204,14 +204,14 @@ class OtherRun(FolderError):
 
 
 class EndsTooSoon(InputError):
-    """A run that is to end before what is recorded of it.
+    """A stop criterion that is below what is recorded of the run.
 
     Parameters
     ----------
     folder
         The run's.
     reason
-        What is asked for, and what is recorded.
+        The criterion, and what is recorded.
     """
 
     def __init__(self, folder: object, reason: ImpossibleValue) -> None:
@@ -219,7 +219,7 @@ class EndsTooSoon(InputError):
 
 
 class JawNeeded(InputError):
-    """A prior for two-finger hands, and a hand that is none.
+    """A prior for two-finger hands with a hand that does not have two fingers.
 
     Parameters
     ----------
@@ -245,19 +245,19 @@ class SecurityError(InputError):
 
 
 class BusError(QdgraspError):
-    """The bus did not do what was asked."""
+    """Failure of an operation on the bus."""
 
 
 class Refused(BusError):
-    """The other side answered a query with a reason why not."""
+    """Refusal of a query by the other side, with its reason."""
 
 
 class NoReply(BusError):
-    """Nobody answered a query in time."""
+    """Query without an answer in time."""
 
 
 class Faulty(BusError):
-    """Whoever was asked failed by a fault of its own, of which its log tells; next time it may not."""
+    """Internal error of the side that was queried, logged there; a retry may succeed."""
 
 
 class MessageError(QdgraspError):
@@ -296,7 +296,7 @@ class RunsFailed(InputError):
     """
 
     NAMED = 10
-    """So many are named besides the first."""
+    """Most runs named besides the first."""
 
     def __init__(self, failures: Sequence[RunFailed], total: int) -> None:
         first, *others = failures
@@ -311,16 +311,16 @@ class RunsFailed(InputError):
 
 
 class RecorderFellBack(QdgraspError):
-    """A recorder that no longer has the rows it reported durable, or has rows that were never sent.
+    """A recorder that lost rows it reported durable, or has rows that were never sent.
 
     Parameters
     ----------
     reported
-        How many rows it now reports durable.
+        Number of rows it now reports durable.
     durable
-        How many it reported before.
+        Number it reported before.
     sent
-        How many rows there are at all.
+        Number of rows that exist.
     """
 
     def __init__(self, reported: int, durable: int, sent: int) -> None:
@@ -329,23 +329,23 @@ class RecorderFellBack(QdgraspError):
             "restored or it serves another coordinator; the run is to be replayed from its journal."
         )
         self.run = ""
-        """Whose rows they are; empty where there is one run only."""
+        """Run of the rows; empty where there is one run only."""
 
     def of(self, run: str) -> "RecorderFellBack":
-        """The same, told of a run."""
+        """Return the same error, with the name of its run."""
         self.run = run
         return self
 
 
 class EndedEarly(QdgraspError):
-    """The job stopped before its budget; `qdgrasp resume` goes on."""
+    """End of a job before its budget; `qdgrasp resume` continues it."""
 
 
 class Cancelled(EndedEarly):
-    """Whoever administers the job told its coordinator to end, which it does as asked.
+    """End of a job by a cancel request.
 
-    To the coordinator this is no failure, and nobody is to start it again. To whoever waits for the job,
-    such as `qdgrasp run`, it is an `EndedEarly` like any other.
+    To the coordinator this is not a failure, and it is not to be started again. To a process that waits for
+    the job, such as `qdgrasp run`, it is an `EndedEarly` like any other.
 
     Parameters
     ----------
@@ -360,14 +360,14 @@ class Cancelled(EndedEarly):
 
 
 class TookOver(EndedEarly):
-    """Another coordinator goes on with the job; this one ends, and is not to be started again.
+    """End of a coordinator as another one took over the job; it is not to be started again.
 
     Parameters
     ----------
     job
         Its name.
     epoch
-        The other's.
+        The other coordinator's.
     """
 
     exit_code = 3
@@ -377,11 +377,11 @@ class TookOver(EndedEarly):
 
     @staticmethod
     def refusal(own: int, other: int) -> Refused:
-        """What a recorder answers a coordinator of an epoch that is over."""
+        """Return a recorder's refusal of a coordinator whose epoch is over."""
         return Refused(f"epoch {own} is over: another coordinator took over with {other}")
 
     @classmethod
     def told_by(cls, refusal: Exception, job: str) -> "TookOver | None":
-        """What a recorder's refusal means where it is such an answer; None where it is another one."""
+        """Return the error if a recorder's refusal is one of `refusal`, else None."""
         found = re.search(r"another coordinator took over with (\d+)", str(refusal))
         return cls(job, found[1]) if found else None

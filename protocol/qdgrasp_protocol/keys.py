@@ -43,7 +43,7 @@ class Keys:
         return f"{self.root}/@result/{wid}"
 
     def ctl(self, wid: str) -> str:
-        """Coordinator to worker: batches to drop, or that it is to leave."""
+        """Coordinator to worker: batches to drop, or an order to leave."""
         return f"{self.root}/@ctl/{wid}"
 
     @property
@@ -53,7 +53,7 @@ class Keys:
 
     @property
     def control(self) -> str:
-        """Whoever administers a job to its coordinator, query: pause, continue, cancel, drain."""
+        """Administrator to coordinator, query: pause, continue, cancel, drain."""
         return f"{self.root}/rpc/control"
 
     def asset(self, digest: str = "*") -> str:
@@ -93,7 +93,7 @@ class Keys:
 
     @property
     def entries(self) -> str:
-        """Monitors to recorder, query: the runs in the folder, finished ones too, or one of them; JSON."""
+        """Monitors to recorder, query: all runs in the folder, finished ones too, or one; JSON."""
         return f"{self.root}/rec/runs"
 
     @property
@@ -108,13 +108,13 @@ class Keys:
     def stat(self, what: str = "**") -> str:
         """To monitors: `job`, `run/<run>` or `team/<page>`, JSON, about once a second.
 
-        The coordinator answers queries on it, also with patterns, with how it is now; `curve/<run>` is
-        answered where it is asked for, and never sent. On `worker/<wid>` a worker shows its own progress.
+        The coordinator also answers queries on it, patterns too, with the present state; `curve/<run>` is
+        only answered, never sent. On `worker/<wid>` a worker publishes its own progress.
         """
         return f"{self.root}/stat/{what}"
 
     def event(self, kind: str = "*") -> str:
-        """To monitors: what happened, JSON, when it does."""
+        """To monitors: an event, JSON, when it happens."""
         return f"{self.root}/event/{kind}"
 
     @property
@@ -124,12 +124,12 @@ class Keys:
 
     @property
     def meta(self) -> str:
-        """To monitors: what a job is, JSON, when a coordinator begins; it answers queries on it too."""
+        """To monitors: description of a job, JSON, at a coordinator's start; also on query."""
         return f"{self.root}/meta"
 
 
 class AnyJob(Keys):
-    """Patterns over the keys of all jobs, for workers that serve whatever job there is."""
+    """Patterns over the keys of all jobs, for workers that serve any job."""
 
     def __init__(self) -> None:
         self.job = "*"
@@ -137,7 +137,7 @@ class AnyJob(Keys):
 
 
 def job_of(key: str) -> str | None:
-    """The job that a key belongs to; None where the key is not one of ours."""
+    """Return the job that a key belongs to; None where the key is not one of ours."""
     parts = key.split("/")
     if len(parts) < 4 or "/".join(parts[:2]) != ROOT or not NAME.fullmatch(parts[2]):
         return None
@@ -145,23 +145,23 @@ def job_of(key: str) -> str | None:
 
 
 def last_chunk(key: str) -> str:
-    """The chunk behind the last slash: a worker's id, an epoch, a digest."""
+    """Return the chunk after the last slash: a worker's id, an epoch, a digest."""
     return key.rsplit("/", 1)[-1]
 
 
 def parse_number(text: str) -> int | None:
-    """The number that a chunk of a key or a parameter stands for; None where it is none, or has 19 digits."""
+    """Parse a number of at most 18 digits in a key or parameter; None if it is not one."""
     is_one = text.isascii() and text.isdigit() and len(text) <= 18
     return int(text) if is_one else None
 
 
 def matches(pattern: str, key: str) -> bool:
-    """Whether a key matches a pattern: `*` is one chunk, `**` any number, neither matches one with `@`."""
+    """Return whether a key matches a pattern: `*` one chunk, `**` any number, neither `@...`."""
     return _matches(pattern.split("/"), key.split("/"))
 
 
 def patterns_intersect(one: str, other: str) -> bool:
-    """Whether there is a key that both patterns match."""
+    """Return whether a key exists that both patterns match."""
     return _intersect(one.split("/"), other.split("/"))
 
 

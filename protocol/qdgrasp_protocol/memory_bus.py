@@ -34,7 +34,7 @@ log = structlog.get_logger()
 
 
 class Registration:
-    """Something a session declared on a pattern."""
+    """A declaration of a session on a pattern."""
 
     def __init__(self, session: "MemoryBus", pattern: str) -> None:
         self.session = session
@@ -45,11 +45,11 @@ E = TypeVar("E", bound=Registration)
 
 
 class LivelinessToken(Registration):
-    """A session is alive under a key."""
+    """A liveliness token of a session."""
 
 
 class Subscriber(Registration):
-    """A session hears messages."""
+    """A subscription of a session."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: SampleHandler) -> None:
         super().__init__(session, pattern)
@@ -57,14 +57,14 @@ class Subscriber(Registration):
 
 
 class MemoryRing(RingBuffer):
-    """A subscriber's latest messages."""
+    """Buffer of a subscriber's latest messages."""
 
     def __init__(self, capacity: int) -> None:
         super().__init__()
         self.heard: deque[Sample] = deque(maxlen=capacity)
 
     def take(self) -> list[Sample]:
-        """Take what is there."""
+        """Take the buffered messages."""
         taken = []
         while self.holds and self.heard:
             taken.append(self.heard.popleft())
@@ -72,7 +72,7 @@ class MemoryRing(RingBuffer):
 
 
 class Queryable(Registration):
-    """A session answers queries, one after the other, with values by their keys."""
+    """A queryable of a session; answers one query at a time, with values by key."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: ValuesHandler) -> None:
         super().__init__(session, pattern)
@@ -80,7 +80,7 @@ class Queryable(Registration):
         self._turn = threading.Lock()
 
     def reply(self, query: Query, answer: "Future[Mapping[str, bytes]]") -> None:
-        """Put the handler's values, or why there are none, into `answer`."""
+        """Put the handler's values, or its error, into `answer`."""
         with self._turn:
             try:
                 answer.set_result(self._handler(query))
@@ -89,7 +89,7 @@ class Queryable(Registration):
 
 
 class LivelinessWatcher(Registration):
-    """A session watches tokens; it knows which it was told are alive."""
+    """A watch on tokens; it remembers which ones it reported alive."""
 
     def __init__(self, session: "MemoryBus", pattern: str, handler: TokenHandler) -> None:
         super().__init__(session, pattern)
@@ -97,7 +97,7 @@ class LivelinessWatcher(Registration):
         self._alive: list[str] = []
 
     def look(self, tokens: list[str]) -> None:
-        """Tell the handler what changed since the last look."""
+        """Report the changes since the last call to the handler."""
         before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
         self._alive = now
         for key in before:
@@ -109,7 +109,7 @@ class LivelinessWatcher(Registration):
 
 
 class MemoryNetwork:
-    """What the sessions of one process share."""
+    """Declarations and locks shared by the sessions of one process."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()  # held while tokens are told, so that all hear of them in one order
@@ -120,25 +120,25 @@ class MemoryNetwork:
         return MemoryBus(self)
 
     def add(self, entry: Registration) -> Declaration:
-        """Let an entry hold until its declaration ends."""
+        """Add an entry until its declaration ends."""
         with self._lock:
             self._entries.append(entry)
             self.tell_tokens()
         return Declaration(lambda: self.remove(lambda other: other is entry))
 
     def remove(self, is_over: Callable[[Registration], bool]) -> None:
-        """Let entries end."""
+        """Remove entries."""
         with self._lock:
             self._entries = [entry for entry in self._entries if not is_over(entry)]
             self.tell_tokens()
 
     def visible(self, kind: type[E], session: "MemoryBus") -> list[E]:
-        """The entries of a kind that `session` has a way to."""
+        """Return the entries of a kind that `session` can reach."""
         with self._lock:
             return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
 
     def tell_tokens(self) -> None:
-        """Let every watcher look at the tokens it can see."""
+        """Have every watcher report changes in the tokens it can reach."""
         with self._lock:
             for watcher in [e for e in self._entries if isinstance(e, LivelinessWatcher)]:
                 watcher.look([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
@@ -154,11 +154,11 @@ class MemoryBus(Bus):
         self._is_cut = False
 
     def reaches(self, other: "MemoryBus") -> bool:
-        """Whether there is a way between two sessions."""
+        """Return whether two sessions are connected."""
         return self is other or not (self._is_cut or other._is_cut)
 
     def cut(self) -> None:
-        """Break the link to all others; what is put meanwhile is lost."""
+        """Break the link to all others; messages put meanwhile are lost."""
         self._set_cut(True)
 
     def mend(self) -> None:
@@ -166,7 +166,7 @@ class MemoryBus(Bus):
         self._set_cut(False)
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        """Deliver a message to everybody who hears it, before this call returns."""
+        """Deliver a message to all its subscribers before this call returns."""
         self._check_open()
         sample = Sample(key, bytes(payload), encoding)
         for subscriber in self._network.visible(Subscriber, self):
@@ -174,11 +174,11 @@ class MemoryBus(Bus):
                 _call(subscriber.handler, sample)
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Hear messages."""
+        """Subscribe to messages."""
         return self._declare(Subscriber(self, pattern, handler))
 
     def ring(self, pattern: str, capacity: int) -> RingBuffer:
-        """Keep messages."""
+        """Buffer messages."""
         ring = MemoryRing(capacity)
         ring.undo = self._declare(Subscriber(self, pattern, ring.heard.append)).undo
         return ring
@@ -206,7 +206,7 @@ class MemoryBus(Bus):
         return values[key]
 
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
-        """Query all there are."""
+        """Query all matching keys."""
         self._check_open()
         answerers = [
             a for a in self._network.visible(Queryable, self) if patterns_intersect(a.pattern, pattern)
@@ -217,15 +217,15 @@ class MemoryBus(Bus):
         return {key: value for values in found for key, value in values.items() if matches(pattern, key)}
 
     def token(self, key: str) -> AbstractContextManager[None]:
-        """Be alive."""
+        """Declare a liveliness token."""
         return self._declare(LivelinessToken(self, key))
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of tokens."""
+        """Watch tokens."""
         return self._declare(LivelinessWatcher(self, pattern, handler))
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear of `cut` and `mend`."""
+        """Report `cut` and `mend`."""
         self._check_open()
         self._links.append(handler)
         return Declaration(lambda: self._links.remove(handler))
@@ -252,7 +252,7 @@ class MemoryBus(Bus):
 
 
 def _query(answerer: Queryable, query: Query) -> "Future[Mapping[str, bytes]]":
-    """The answer to come, from a thread of its own."""
+    """Return the future answer of a query, made in a thread of its own."""
     answer: Future[Mapping[str, bytes]] = Future()
     threading.Thread(target=answerer.reply, args=(query, answer), daemon=True).start()
     return answer

@@ -8,7 +8,7 @@ passed both. The default limits of msgpack let one megabyte of `0x90` become a m
 """
 
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 import msgpack
 import msgspec
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 VERSION = 1  # The version of the protocol that this package speaks
 
 Wid = Annotated[str, Meta(pattern=r"\A[0-9a-f]{32}\Z")]
-"""A worker process: 128 random bits, new at every start."""
+"""Id of a worker process: 128 random bits, new at every start."""
 Digest = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 Name = Annotated[str, Meta(pattern=r"\A[a-z0-9_-]{1,64}\Z")]
 BatchId = Annotated[bytes, Meta(min_length=16, max_length=16)]
@@ -35,9 +35,9 @@ Number = Annotated[float, Meta(ge=0, le=1e12)]
 """Finite and not negative."""
 
 JobId = Annotated[str, Meta(max_length=32)]
-"""What tells a job from another one of its name: random, made with its folder; empty: not known."""
+"""Random id of a job, made with its folder, unlike its name unique; empty: unknown."""
 Text = Annotated[str, Meta(max_length=200)]
-"""Words for a person; made with `short`."""
+"""Text for a person; made with `short`."""
 
 
 def shorten(text: str) -> str:
@@ -48,11 +48,16 @@ def shorten(text: str) -> str:
 class Message(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The root of all messages."""
 
+    wire_name: ClassVar[str]
+    """Name of this kind of message in its encoding."""
+
     v: Annotated[int, Meta(ge=1, le=VERSION)] = VERSION
 
 
 class Work(Message, frozen=True, kw_only=True):
     """Coordinator to worker: a leased batch, rows of one generation of one run."""
+
+    wire_name = "work"
 
     epoch: Count
     run: Name
@@ -73,12 +78,14 @@ class Failure(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A row of a batch on which the simulator failed."""
 
     row: Count
-    """Its place in the batch."""
+    """Its position in the batch."""
     reason: Text
 
 
 class Result(Message, frozen=True, kw_only=True):
-    """Worker to coordinator: what a batch found."""
+    """Worker to coordinator: the results of a batch."""
+
+    wire_name = "result"
 
     epoch: Count
     run: Name
@@ -98,22 +105,26 @@ class Result(Message, frozen=True, kw_only=True):
 class Join(Message, frozen=True, kw_only=True):
     """Worker to coordinator, query: serve this job."""
 
+    wire_name = "join"
+
     versions: list[Count]
     wid: Wid
     number: Count
-    """Counts this worker's joins; the coordinator forgets what older ones were leased."""
+    """Counter of this worker's joins; the coordinator drops leases of older ones."""
     credit: Annotated[int, Meta(ge=0, le=64)]
-    """How many batches may be outstanding; 0: nothing more is to come, as the worker is about to leave."""
+    """Most batches that may be outstanding; 0: no more, as the worker is about to leave."""
     held: list[BatchId]
     """Batches still held from before."""
     host: Annotated[str, Meta(pattern=r"\A[!-~]{1,255}\Z")]
     pid: Count
     platform: dict[str, str]
-    """What decides the bits of a result: versions, evaluation code, digest of the probe set."""
+    """All that decides the bits of a result: versions, evaluation code, probe digest."""
 
 
 class Joined(Message, frozen=True, kw_only=True):
     """The answer to a join."""
+
+    wire_name = "joined"
 
     epoch: Count
     drop: list[BatchId]
@@ -122,6 +133,8 @@ class Joined(Message, frozen=True, kw_only=True):
 class Control(Message, frozen=True, kw_only=True):
     """Coordinator to worker: drop batches that another worker has settled, or leave the job."""
 
+    wire_name = "control"
+
     epoch: Count
     drop: list[BatchId] = []
     drain: bool = False
@@ -129,32 +142,40 @@ class Control(Message, frozen=True, kw_only=True):
 
 
 class Order(Message, frozen=True, kw_only=True):
-    """Whoever administers a job to its coordinator, query: what to do with it."""
+    """Administrator to coordinator, query: an order for the job."""
+
+    wire_name = "order"
 
     act: Literal["pause", "continue", "cancel", "drain"]
     worker: Annotated[str, Meta(pattern=r"\A[0-9a-f]{0,32}\Z")] = ""
-    """Whom to drain: a worker's id, or how it begins; empty: by `host`."""
+    """Worker to drain, by its id or a prefix of it; empty: by `host`."""
     host: Text = ""
-    """Whose workers to drain."""
+    """Host whose workers are drained."""
 
 
 class OrderReply(Message, frozen=True, kw_only=True):
     """The answer to an order."""
 
+    wire_name = "done"
+
     words: Text
-    """What happened, in a sentence for a person."""
+    """Result in a sentence for a person."""
 
 
 class Chunk(Message, frozen=True, kw_only=True):
     """The answer to one query for a piece of a scene bundle."""
 
+    wire_name = "chunk"
+
     total: Annotated[int, Meta(ge=1, le=4096)]
-    """How many chunks the bundle has."""
+    """Number of chunks of the bundle."""
     data: bytes
 
 
 class Recordable(Message, frozen=True, kw_only=True):
     """Consecutive rows of a run in journal order, settled: to the recorder, and back at replay."""
+
+    wire_name = "recordable"
 
     epoch: Count
     run: Name
@@ -167,19 +188,21 @@ class Recordable(Message, frozen=True, kw_only=True):
     columns: dict[str, bytes]
     """All of `rows.COLUMNS`."""
     cpu_seconds: Number = 0.0
-    """What these rows cost on their workers, outside the digest."""
+    """CPU time of these rows on their workers [s], outside the digest."""
     failures: list[Failure] = []
-    """Why rows with `Outcome.ERROR` failed."""
+    """Reasons of the failures in rows with `Outcome.ERROR`."""
 
 
 class Recorded(Message, frozen=True, kw_only=True):
     """Recorder to coordinator: how many rows of a run are durable."""
 
+    wire_name = "recorded"
+
     epoch: Count
     run: Name
     durable: Count
     trouble: Text = ""
-    """Why the recorder cannot write now, in words; empty when it can."""
+    """Reason why the recorder cannot write now, in words; empty when it can."""
 
 
 class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -197,25 +220,31 @@ class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Open(Message, frozen=True, kw_only=True):
     """Coordinator to recorder, query: opens runs of a job."""
 
+    wire_name = "open"
+
     job: Name
     runs: list[OpenRun]
     epoch: Count = 0
-    """The turn that these runs join, where the coordinator has one already; 0: it begins one."""
+    """Epoch that these runs join; 0: a new one begins."""
 
 
 class Opened(Message, frozen=True, kw_only=True):
-    """The answer: the coordinator's epoch and the durable number of each run, in the order asked."""
+    """The answer to `Open`: epoch, and the durable number of each run in the order asked."""
+
+    wire_name = "opened"
 
     epoch: Count
     durable: list[Count]
     platform: dict[str, str]
-    """The platform that the recorded rows were made on; empty when there are none."""
+    """Platform of the recorded rows; empty without rows."""
     identity: JobId = ""
-    """Of the job."""
+    """Id of the job."""
 
 
 class Platform(Message, frozen=True, kw_only=True):
-    """Coordinator to recorder: the platform of this job's rows, known once the first worker joined."""
+    """Coordinator to recorder: the platform of this job's rows, known from the first join on."""
+
+    wire_name = "platform"
 
     epoch: Count
     platform: dict[str, str]
@@ -223,6 +252,8 @@ class Platform(Message, frozen=True, kw_only=True):
 
 class Log(Message, frozen=True, kw_only=True):
     """Query to the recorder: recorded rows of a run from number `first` on, at most `limit`."""
+
+    wire_name = "log"
 
     run: Name
     first: Count
@@ -232,41 +263,46 @@ class Log(Message, frozen=True, kw_only=True):
 class SuccessPage(Message, frozen=True, kw_only=True):
     """The answer to a query on `rec/finds`: successes of a run in journal order."""
 
-    run: Name
-    """Its name in its job."""
-    scene: Digest
-    """sha256 of the run's scene bundle."""
-    began: float
-    """When the journal was begun [s since 1970]: another one of the same name has other rows."""
-    next: Count
-    """The journal number from which to ask on."""
-    rows: Count
-    """How many rows the journal has; with `next` there, these are all the successes so far."""
-    n: Annotated[int, Meta(ge=0, le=4096)]
-    """How many finds these are."""
-    joints: Width
-    """Finger joints of the hand."""
-    columns: dict[str, bytes]
-    """Each of `finds.COLUMNS` by its name, little-endian."""
+    wire_name = "finds"
+
+    run: Annotated[Name, Meta(description="Its name in its job.")]
+    scene: Annotated[Digest, Meta(description="sha256 of the run's scene bundle.")]
+    began: Annotated[
+        float,
+        Meta(
+            description="When the journal was begun [s since 1970]: "
+            "another one of the same name has other rows."
+        ),
+    ]
+    next: Annotated[Count, Meta(description="The journal number from which to ask on.")]
+    rows: Annotated[
+        Count,
+        Meta(
+            description="How many rows the journal has; with `next` there, "
+            "these are all the successes so far."
+        ),
+    ]
+    n: Annotated[int, Meta(ge=0, le=4096, description="How many finds these are.")]
+    joints: Annotated[Width, Meta(description="Finger joints of the hand.")]
+    columns: Annotated[
+        dict[str, bytes], Meta(description="Each of `finds.COLUMNS` by its name, little-endian.")
+    ]
 
 
 class Heartbeat(Struct, frozen=True, kw_only=True):
-    """How a worker is."""
+    """State of a worker, sent about once a second."""
 
-    wid: Wid
-    """Its id."""
-    host: Text
-    """Where it runs."""
-    run: Text = ""
-    """Of the batch in work; empty: there is none."""
-    rows: Count = 0
-    """Of that batch; 0: there is none."""
-    progressed: bool = True
-    """Whether its simulator did anything since the last sign."""
-    memory: Count = 0
-    """What it and its simulator have of the memory [bytes]; 0: unknown."""
-    restarts: Count = 0
-    """How often it has started its simulator again."""
+    wid: Annotated[Wid, Meta(description="Its id.")]
+    host: Annotated[Text, Meta(description="Where it runs.")]
+    run: Annotated[Text, Meta(description="Of the batch in work; empty: there is none.")] = ""
+    rows: Annotated[Count, Meta(description="Of that batch; 0: there is none.")] = 0
+    progressed: Annotated[
+        bool, Meta(description="Whether its simulator did anything since the last sign.")
+    ] = True
+    memory: Annotated[
+        Count, Meta(description="What it and its simulator have of the memory [bytes]; 0: unknown.")
+    ] = 0
+    restarts: Annotated[Count, Meta(description="How often it has started its simulator again.")] = 0
 
 
 M = TypeVar("M", bound=Message)
@@ -285,7 +321,7 @@ MESSAGE_LIMITS = {
     "raw": False,
 }
 MAX_BUNDLE = 128 << 20
-"""The largest scene bundle that is fetched [bytes]; those of the built-in hands and objects have 0.2 MB."""
+"""Largest scene bundle that is fetched [bytes]; the built-in ones have 0.2 MB."""
 MAX_BUNDLE_CONTAINERS = 1 << 16  # The most lists and maps in one; those have 50
 BUNDLE_LIMITS = {
     "max_array_len": 1 << 16,
@@ -298,17 +334,17 @@ BUNDLE_LIMITS = {
 
 @cache
 def encoding(kind: type[Message]) -> str:
-    """The encoding that a message of this kind travels with."""
-    return f"application/msgpack;qdgrasp.{kind.__name__.lower()}.v1"
+    """Return the encoding that a message of this kind travels with."""
+    return f"application/msgpack;qdgrasp.{kind.wire_name}.v1"
 
 
 def encode(message: Message) -> bytes:
-    """A message as MessagePack."""
+    """Return a message as MessagePack."""
     return msgspec.msgpack.encode(message)
 
 
 def decode(payload: bytes, kind: type[M]) -> M:
-    """The message of `kind` in `payload`.
+    """Return the message of `kind` in `payload`.
 
     Raises
     ------
@@ -321,11 +357,11 @@ def decode(payload: bytes, kind: type[M]) -> M:
     try:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
-        raise MessageError(f"not a {kind.__name__.lower()}: {printable(str(error), MAX_REASON)}") from None
+        raise MessageError(f"not a {kind.wire_name}: {printable(str(error), MAX_REASON)}") from None
 
 
 def decode_sample(sample: "Sample", kind: type[M]) -> M:
-    """The message of `kind` in a sample.
+    """Return the message of `kind` in a sample.
 
     Raises
     ------
@@ -338,7 +374,7 @@ def decode_sample(sample: "Sample", kind: type[M]) -> M:
 
 
 def check_bundle(payload: bytes) -> None:
-    """See that the bytes of a scene are MessagePack that does not unfold without end.
+    """Check that the bytes of a scene are MessagePack within the limits.
 
     Raises
     ------
@@ -349,7 +385,7 @@ def check_bundle(payload: bytes) -> None:
 
 
 def _unpack(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
-    """The values in a payload that has at most so many lists and maps."""
+    """Unpack a payload, up to a number of lists and maps."""
     count = _ContainerLimit(containers).count
     try:
         return msgpack.unpackb(payload, list_hook=count, object_hook=count, **limits)
@@ -358,7 +394,7 @@ def _unpack(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
 
 
 class _ContainerLimit:
-    """How many lists and maps a payload may still unfold to."""
+    """Remaining number of lists and maps that a payload may unfold to."""
 
     def __init__(self, left: int) -> None:
         self._left = left

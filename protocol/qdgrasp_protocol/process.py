@@ -33,24 +33,24 @@ from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_protocol.text import printable
 
 SUPERVISED = "QDGRASP_SUPERVISED"
-"""Set for a process that lives only as long as the process at the other end of its standard input."""
+"""Set for a process that ends when its standard input is closed by its parent process."""
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SIGNAL_REPEAT_INTERVAL = 0.1  # seconds in which the main thread hears a signal, as a rule
 ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
 
 
 class Stop:
-    """Whether this process is asked to stop, and by what."""
+    """Request to stop this process, with its signal."""
 
     def __init__(self) -> None:
         self.signal: int | None = None
         self.latest: int | None = None
-        """The last signal of several; the first decides the exit code."""
+        """Last signal of several; the first decides the exit code."""
         self._told: list[Callable[[], None]] = []
 
     @property
     def is_set(self) -> bool:
-        """A signal asked this process to stop."""
+        """True once this process was asked to stop."""
         return self.signal is not None
 
     @property
@@ -59,7 +59,7 @@ class Stop:
         return 0 if self.signal is None else 128 + self.signal
 
     def tell(self, callback: Callable[[], None]) -> None:
-        """Call `callback` when the process is asked to stop. It runs in a signal handler: put and return."""
+        """Register `callback` for the stop request; runs in a signal handler: put and return."""
         self._told.append(callback)
 
     def set(self, number: int, _frame: FrameType | None = None) -> None:
@@ -73,7 +73,7 @@ class Stop:
 
 @contextmanager
 def lifetime(title: str) -> Iterator[Stop]:
-    """Name this process for `ps`, and turn SIGINT, SIGTERM and the end of its starter into a `Stop`."""
+    """Set the process title, and turn SIGINT, SIGTERM and the parent's end into a `Stop`."""
     setproctitle(title)
     stop = Stop()
     notes = signal.set_wakeup_fd(begin := _start_signal_thread(stop), warn_on_full_buffer=False)
@@ -90,7 +90,7 @@ def lifetime(title: str) -> Iterator[Stop]:
 
 
 def _start_signal_thread(stop: Stop) -> int:
-    """Start a thread that takes the kernel's notes of signals; gives where they are to be written."""
+    """Start a thread that receives signal numbers; returns the file descriptor to write to."""
     end, begin = os.pipe()
     os.set_blocking(begin, False)
     threading.Thread(target=_repeat_signal, args=(end, stop), name="signals", daemon=True).start()
@@ -98,7 +98,7 @@ def _start_signal_thread(stop: Stop) -> int:
 
 
 def _repeat_signal(end: int, stop: Stop) -> None:
-    """Send a signal again until it is heard: one that comes right before a wait in C wakes nobody."""
+    """Repeat a signal until it is handled: one right before a wait in C would be lost."""
     main = threading.main_thread().ident or 0
     while note := os.read(end, 1):
         while note[0] in STOP_SIGNALS and not stop.is_set:
@@ -109,7 +109,7 @@ def _repeat_signal(end: int, stop: Stop) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process once nobody holds the other end of its standard input."""
+    """End this process once the other end of its standard input is closed."""
     while os.read(0, 1024):
         pass
     os.kill(os.getpid(), signal.SIGTERM)
@@ -121,24 +121,24 @@ STANDARD_ERROR = 2
 
 
 class UnbufferedStderr:
-    """Standard error without a buffer; what is said on a full disk is lost, and nobody dies of it."""
+    """Standard error without a buffer; write errors, as on a full disk, are ignored."""
 
     def write(self, text: str) -> None:
-        """Say it now or never."""
+        """Write at once; text that cannot be written is lost."""
         with suppress(OSError):
             os.write(STANDARD_ERROR, text.encode(errors="replace"))
 
     def flush(self) -> None:
-        """Nothing waits."""
+        """Do nothing, as nothing is buffered."""
 
 
 def escape_event(_logger: object, _method: str, event: EventDict) -> EventDict:
-    """Escape what others wrote; values that are no strings are shown by their `repr`, which does so too."""
+    """Escape untrusted text; values that are not strings are shown by `repr`, which escapes too."""
     return {name: printable(value) if isinstance(value, str) else value for name, value in event.items()}
 
 
 def write_traceback(sink: TextIO, error: ExcInfo) -> None:
-    """Write a traceback without the values of variables, and with what others wrote escaped."""
+    """Write a traceback without the values of variables, and with untrusted text escaped."""
     for piece in TracebackException(*error).format():
         is_frame = piece.startswith("  ")  # some lines of code; anything else is a sentence
         for line in piece.rstrip().split("\n") if is_frame else [piece.strip()]:
@@ -167,56 +167,56 @@ GRACE = 2.0  # seconds that a process may take to stop before it is killed
 GRACE_MARGIN = 0.5  # of them, those that it is not told of, so that it is not killed while it stops
 BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Each process works on one core."""
+"""Environment that limits each process to one thread."""
 STEADY_SECONDS = 5.0  # seconds of life after which the next death starts from the first back-off again
 
 
 @dataclass
 class GroupMember:
-    """One process of a crew."""
+    """One process of a `ProcessGroup`."""
 
     name: str
     arguments: list[str]
     log: Path | None
-    """Where it speaks; None: where this process does."""
+    """Log file; None: this process's standard error."""
     process: subprocess.Popen[bytes]
     started: float
     restarts: int = 0
     restart_at: float | None = None
     log_start: int = 0
-    """Where in the log this process began to write."""
+    """Byte of the log at which this process began to write."""
     core: int | None = None
-    """The core that it is kept on; None: any."""
+    """Core that it is pinned to; None: any."""
 
 
 @dataclass(frozen=True)
 class ProcessExit:
-    """A member of the crew ended."""
+    """End of a process of a `ProcessGroup`."""
 
     name: str
     exit_code: int
-    """Negative: the signal that killed it."""
+    """Exit code; negative: the signal that killed it."""
 
     @property
     def words(self) -> str:
-        """How it ended, for a person."""
+        """Description of the end for a person."""
         if self.exit_code < 0:
             return f"was killed by {signal.Signals(-self.exit_code).name}"
         return f"ended with exit code {self.exit_code}"
 
 
 def back_off(restarts: int) -> float:
-    """Seconds to wait before the next start of a member that was restarted `restarts` times in a row."""
+    """Return the seconds before the next start after `restarts` restarts in a row."""
     return float(min(BACK_OFF_FIRST * 2**restarts, BACK_OFF_LAST))
 
 
 class ProcessGroup:
-    """Processes by name.
+    """Child processes by name, started again on request and ended together.
 
     Parameters
     ----------
     logs
-        Where each has a log file; None: they speak where this process does.
+        Folder of the log files, one for each; None: this process's standard error.
     grace
         Seconds that they may take to stop.
     """
@@ -229,11 +229,11 @@ class ProcessGroup:
 
     @property
     def members_grace(self) -> float:
-        """Seconds that a member may be told to take at most."""
+        """Most seconds that a process may be given to stop."""
         return max(0.0, self._grace - GRACE_MARGIN)
 
     def hire(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
-        """Start `python -m module arguments` as the member `name`, on one core or on any."""
+        """Start `python -m module arguments` as the process `name`, on one core or on any."""
         command = [sys.executable, "-m", module, *arguments]
         log = self._log(name)
         began = log.stat().st_size if log is not None and log.exists() else 0
@@ -243,7 +243,7 @@ class ProcessGroup:
         )
 
     def deaths(self) -> list[ProcessExit]:
-        """The members that ended since the last look, and are not to be started again yet."""
+        """Return the processes that ended since the last call and are not yet to be restarted."""
         found = []
         for member in self._members.values():
             code = member.process.poll()
@@ -253,7 +253,7 @@ class ProcessGroup:
         return found
 
     def restart_later(self, name: str, now: float) -> float:
-        """Start a dead member again after its back-off; returns the seconds until then."""
+        """Schedule a restart after the back-off; returns the seconds until then."""
         member = self._members[name]
         if now - member.started > STEADY_SECONDS:
             member.restarts = 0
@@ -263,14 +263,14 @@ class ProcessGroup:
         return pause
 
     def restart_due(self, now: float) -> None:
-        """Start the dead members whose back-off is over."""
+        """Restart the processes whose back-off is over."""
         for member in self._members.values():
             if member.restart_at is not None and member.restart_at <= now:
                 member.process, member.started = _start(member.arguments, member.log, member.core), now
                 member.restart_at = None
 
     def last_words(self, name: str) -> str:
-        """The sentence with which a member ended; empty where it ended without one."""
+        """Return the error sentence with which a process ended; empty where it ended without one."""
         member = self._members[name]
         if member.log is None:
             return ""
@@ -283,24 +283,24 @@ class ProcessGroup:
         return lines[-1].partition(": ")[2] if lines else ""
 
     def process(self, name: str) -> subprocess.Popen[bytes]:
-        """The process of a member."""
+        """Return the process of this name."""
         return self._members[name].process
 
     def pids(self) -> dict[str, int]:
-        """The process ids of the members that live."""
+        """Return the ids of the running processes by name."""
         return {m.name: m.process.pid for m in self._members.values() if m.process.poll() is None}
 
     def _alive(self) -> list[subprocess.Popen[bytes]]:
         return [member.process for member in self._members.values() if member.process.poll() is None]
 
     def bid_leave(self, number: int = signal.SIGTERM) -> None:
-        """Ask every member to stop, by a signal; the grace begins."""
+        """Send every process a signal to stop; the grace begins."""
         self._leave_by = time.monotonic() + self._grace
         for process in self._alive():
             process.send_signal(number)
 
     def dismiss(self, number: int = signal.SIGTERM) -> None:
-        """End every member: politely, by a signal, then, after the grace, by force."""
+        """End every process by a signal, then, after the grace, by SIGKILL."""
         if self._leave_by is None:
             self.bid_leave(number)
         for process in self._alive():
@@ -328,7 +328,7 @@ class ProcessGroup:
 
 
 def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
-    """Start a process that lives only as long as we do, in a session of its own, so that Ctrl-C is ours."""
+    """Start a process that ends with this one; its own session keeps Ctrl-C from it."""
     with nullcontext() if log is None else log.open("ab") as file, _pinned_to(core):
         return subprocess.Popen(
             command,
@@ -341,7 +341,7 @@ def _start(command: list[str], log: Path | None, core: int | None) -> subprocess
 
 
 def _environment() -> dict[str, str]:
-    """Ours, but for certificates: they go with an endpoint, and we say for each whether it is encrypted."""
+    """Return a child's environment: ours without the certificate folder, given by endpoint."""
     ours = {name: value for name, value in os.environ.items() if name != SECURITY_VARIABLE}
     return {**ours, **ONE_THREAD, SUPERVISED: "1"}
 
@@ -353,7 +353,7 @@ def _close_pipe(pipe: IO[bytes] | None) -> None:
 
 @contextmanager
 def _pinned_to(core: int | None) -> Iterator[None]:
-    """Keep this process on a core while it starts another, which stays there."""
+    """Pin this process to a core while it starts a child, which inherits that."""
     cores = os.sched_getaffinity(0)
     if core is not None:
         os.sched_setaffinity(0, {core})

@@ -11,7 +11,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", "frames.npy"
-"""The files: the scene's bytes, a `ReplayRequest`, an `ReplayAnswer`, and the frames (n, height, width, 3), uint8."""
+"""Files: scene bundle, `Request`, `Answer`, frames (n, height, width, 3), uint8."""
 
 ReplayPart = Literal["all", "closing", "shakes"]
 Phase = Literal["placed", "closing", "shake z", "shake x"]
@@ -21,36 +21,38 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 
 class ReplayRequest(Struct, frozen=True, kw_only=True):
-    """What is to be shown."""
+    """Evaluation and view to be shown."""
 
     genome: tuple[float, ...]
-    """Of the prior `given`, each number as float32 has it."""
+    """Genome of the prior `given`, each number as float32 has it."""
     trial: int
     """0: the nominal evaluation."""
     width: int
     height: int
     view: tuple[float, float] | None = None
-    """Azimuth and elevation of the camera about the object's z [deg]; None: where fingers and object are seen
-    best."""
+    """Azimuth and elevation of the camera about the object's z [deg].
+
+    None: the view in which fingers and object are seen best.
+    """
     what: ReplayPart | None = None
     """The part of the evaluation that is filmed; None: one frame, of the hand after closing."""
     parts: bool = False
-    """Whether the object is drawn as its convex parts, which are simulated, instead of its surface."""
+    """True: the object is drawn as its convex parts, which are simulated; False: its surface."""
 
 
 class ContactPoint(Struct, frozen=True, kw_only=True):
     """A point where hand and object touch."""
 
     link: str
-    """Of the hand."""
+    """Link of the hand."""
     is_finger: bool
-    """Whether a touch of this link makes a success."""
+    """True if contact of this link makes a success."""
     point: Vector
-    """On the object."""
+    """Point on the object."""
     normal: Vector
-    """The object's there, unit, towards the hand."""
+    """Object's unit normal there, towards the hand."""
     distance: float
-    """Negative where they penetrate."""
+    """Signed distance, negative where they penetrate."""
 
 
 class ReplayFrame(Struct, frozen=True, kw_only=True):
@@ -60,9 +62,9 @@ class ReplayFrame(Struct, frozen=True, kw_only=True):
     step: int
     """Steps since the phase began."""
     seconds: float
-    """For how long it is shown."""
+    """Duration for which it is shown."""
     hand: Pose
-    """Of the hand's base link."""
+    """Pose of the hand's base link."""
     object: Pose
     touches: tuple[ContactPoint, ...]
 
@@ -80,7 +82,7 @@ class ReplayCamera(Struct, frozen=True, kw_only=True):
     height: int
 
     def pixels(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Where points (n, 3) are seen: columns and rows (n, 2) from the image's upper left corner."""
+        """Project points (n, 3) to columns and rows (n, 2) from the image's upper left corner."""
         whole = np.column_stack([points, np.ones(len(points))])
         clip = whole @ np.array(self.matrix).reshape(4, 4).T
         right, up = (clip[:, :2] / clip[:, 3:]).T
@@ -88,10 +90,10 @@ class ReplayCamera(Struct, frozen=True, kw_only=True):
 
 
 class ReplayAnswer(Struct, frozen=True, kw_only=True):
-    """What was seen."""
+    """Result of the replayed evaluation, with its frames."""
 
     outcome: int
-    """`Outcome`."""
+    """Value of an `Outcome`."""
     fitness: int
     joints: tuple[float, ...]
     """Finger joints as a row has them."""

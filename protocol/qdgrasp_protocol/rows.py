@@ -24,7 +24,7 @@ from qdgrasp_protocol.errors import MessageError
 
 
 class Outcome(IntEnum):
-    """How an evaluation ended; a greater one got further.
+    """Outcome of an evaluation; a greater one got further.
 
     Stored as uint8 in messages and journal, so the numbers are part of the format.
     """
@@ -32,7 +32,7 @@ class Outcome(IntEnum):
     ERROR = 0
     """The simulator failed on this row three times; the journal holds the reason."""
     DEAD_END = 1
-    """Nothing to simulate: decoding found no pose, or none of several that is free and promises enough."""
+    """No pose to simulate: decoding found no free pose that promises enough."""
     OVERLAP = 2
     """The open hand overlaps the object at the commanded pose."""
     MISSED = 3
@@ -48,37 +48,37 @@ class Outcome(IntEnum):
 
     @property
     def is_simulated(self) -> bool:
-        """The pose was free of overlap, so that the hand closed on it ("valid" in the paper's code)."""
+        """True if the pose was free, so that the hand closed ("valid" in the paper's code)."""
         return self >= Outcome.MISSED
 
     @property
     def is_touched(self) -> bool:
-        """A finger touched the object at some time while closing."""
+        """True if a finger touched the object at some time while closing."""
         return self >= Outcome.BRUSHED
 
     @property
     def is_success(self) -> bool:
-        """A finger touches the object after closing: what S_G and coverage count."""
+        """True if a finger touches the object after closing: for S_G and coverage."""
         return self >= Outcome.DROPPED
 
     @property
     def is_grasp(self) -> bool:
-        """At least one shake was survived: what users and exports call a grasp."""
+        """True if at least one shake was survived: a grasp for users and exports."""
         return self >= Outcome.SHAKEN
 
     @property
     def is_robust(self) -> bool:
-        """Both shakes were survived."""
+        """True if both shakes were survived."""
         return self >= Outcome.HELD
 
 
 TRIALS = 100
-"""Huber et al. 2024: a hundred trials of two shakes, so that the sum of their fitness is at most 200."""
+"""Trials of two shakes (Huber et al. 2024); the sum of their fitness is at most 200."""
 TRIAL_COUNTS = {"robust": TRIALS}
 
 
 def trial_count(protocol: str) -> int:
-    """How many trials there are besides the nominal evaluation; 0 where a protocol has none."""
+    """Return the number of trials besides the nominal evaluation; 0 for most protocols."""
     return TRIAL_COUNTS.get(protocol, 0)
 
 
@@ -86,7 +86,7 @@ Genomes: TypeAlias = NDArray[np.float32]
 """(n, d): n genomes of d genes each, in [-1, 1]."""
 
 GIVEN = "given"
-"""The prior of poses that are scored as they are: its genes are the pose itself, not numbers in [-1, 1]."""
+"""Prior of poses scored as they are: genes are the pose, not numbers in [-1, 1]."""
 
 
 NO_SYNERGY = -1  # The label of a pose without a synergy: all driven fingers close
@@ -98,9 +98,9 @@ class Gene:
 
     name: str
     low: float
-    """What -1 stands for, in the gene's own unit (m or rad)."""
+    """Value at -1, in the gene's own unit (m or rad)."""
     high: float
-    """What +1 stands for."""
+    """Value at +1."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ class Layout:
         return values
 
     def genomes(self, values: NDArray[np.float64]) -> Genomes:
-        """The genomes that stand for values (n, d) in m and rad, the inverse of `values`: (n, d).
+        """Map values (n, d) in m and rad to genomes (n, d), the inverse of `values`.
 
-        What lies outside its interval is put on the border; the gene of an interval without width is 0.
+        Values outside their interval are clipped; the gene of an interval without width is 0.
         """
         low, high = self.intervals
         width = high - low
@@ -137,7 +137,7 @@ class Layout:
 
     @property
     def intervals(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What -1 and +1 stand for, (d,) each."""
+        """Values at -1 and at +1, (d,) each."""
         return np.array([gene.low for gene in self.genes]), np.array([gene.high for gene in self.genes])
 
 
@@ -153,7 +153,7 @@ class RowColumn:
     item: str
     """The numpy item type, little-endian."""
     width: str
-    """How many items: "1", "7", or the letter of a `Shape` field."""
+    """Number of items: "1", "7", or the letter of a `Shape` field."""
     meaning: str
 
 
@@ -192,7 +192,7 @@ FLOAT_ITEM = "<f4"  # The item type of all columns that do not hold integers
 
 @dataclass(frozen=True)
 class RowShape:
-    """How wide the columns of one run's rows are."""
+    """Widths of the columns of one run's rows."""
 
     genes: int
     joints: int
@@ -204,7 +204,7 @@ class RowShape:
         return np.dtype([self._field(column) for column in COLUMNS])
 
     def width(self, column: RowColumn) -> int:
-        """How many items `column` has in each row."""
+        """Return the number of items of `column` in each row."""
         return int(column.width) if column.width.isdigit() else int(getattr(self, column.width))
 
     def _field(self, column: RowColumn) -> tuple[str, str] | tuple[str, str, tuple[int]]:
@@ -213,12 +213,12 @@ class RowShape:
         return (column.name, column.item, (self.width(column),))
 
     def empty(self, n: int) -> Rows:
-        """`n` rows of zeros."""
+        """Return `n` rows of zeros."""
         return np.zeros(n, dtype=self.dtype)
 
 
 def pack(rows: Rows, columns: Sequence[RowColumn]) -> dict[str, bytes]:
-    """Each of `columns` as one little-endian blob, by name."""
+    """Return each of `columns` as one little-endian blob, by name."""
     return {column.name: np.ascontiguousarray(rows[column.name]).tobytes() for column in columns}
 
 
@@ -243,7 +243,7 @@ def unpack(rows: Rows, columns: Sequence[RowColumn], blobs: Mapping[str, bytes],
 
 
 def _check_finite(blobs: Mapping[str, bytes]) -> None:
-    """Check that blobs of floats hold numbers; all of them at once, as nearly all of them do."""
+    """Check that blobs of floats are finite, all at once for speed."""
     if np.isfinite(np.frombuffer(b"".join(blobs.values()), dtype=FLOAT_ITEM)).all():
         return
     name = next(

@@ -36,7 +36,7 @@ ENCRYPTED = frozenset({"tls", "quic"})
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A place on the network, such as `tls/head:7447`.
+    """A network address, such as `tls/head:7447`.
 
     Attributes
     ----------
@@ -74,12 +74,12 @@ class Endpoint:
 
     @property
     def is_encrypted(self) -> bool:
-        """Needs certificates, and is protected by them."""
+        """True if it needs certificates and is protected by them."""
         return self.protocol in ENCRYPTED
 
     @property
     def is_local(self) -> bool:
-        """Only this machine gets there."""
+        """True if only this machine can reach it."""
         if not self.host:
             return True
         try:
@@ -89,7 +89,7 @@ class Endpoint:
 
     @property
     def from_here(self) -> str:
-        """Where sessions on this machine get there: over loopback, where it listens everywhere."""
+        """Address for sessions on this machine: loopback, if it listens on all interfaces."""
         try:
             address = ipaddress.ip_address(self.host)
         except ValueError:
@@ -111,18 +111,18 @@ def parse_endpoints(text: str) -> tuple[Endpoint, ...]:
 
 
 def default_endpoint(*, encrypted: bool) -> Endpoint:
-    """The default endpoint: on loopback."""
+    """Return the default endpoint: on loopback."""
     protocol = "tls" if encrypted else "tcp"
     return Endpoint(f"{protocol}/{LOOPBACK}:{PORT}", protocol, LOOPBACK, PORT)
 
 
 def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
-    """See that no stranger gets to where a router listens, or that this is what was asked for.
+    """Check that a router's endpoint is local or encrypted, unless told otherwise.
 
     Raises
     ------
     EndpointError
-        Other machines get there, it is not encrypted, and nobody said that this is meant.
+        Other machines can reach it, it is not encrypted, and that was not asked for.
     """
     if endpoint.is_local or endpoint.is_encrypted:
         return
@@ -136,39 +136,39 @@ def check_open(endpoint: Endpoint, *, insecure: bool) -> None:
 
 
 SECURITY_VARIABLE = "QDGRASP_SECURITY"
-"""Names the folder to commands that somebody starts; processes that a command starts are told by a flag."""
+"""Names the folder for commands that users start; their child processes get a flag instead."""
 OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO  # The permissions of everybody but a key's owner
 
 
 class Role(StrEnum):
-    """What a certificate allows; each has one common name, and workers are one class."""
+    """Role that a certificate is for; each has one common name, and all workers share one."""
 
     ROUTER = "router"
-    """Relays for everybody: `qdgrasp-router`, `zenohd`, a coordinator that listens itself."""
+    """Relays for all: `qdgrasp-router`, `zenohd`, a coordinator that listens itself."""
     COORDINATOR = "coordinator"
     RECORDER = "recorder"
     WORKER = "worker"
     MONITOR = "monitor"
-    """Watches, and says nothing."""
+    """Subscribes to figures, and publishes nothing."""
     ADMIN = "admin"
-    """Asks how jobs are, hears their figures, and tells a job to pause, go on or end."""
+    """Queries the state of jobs, receives their figures, and pauses, continues or ends a job."""
 
     @property
     def common_name(self) -> str:
-        """The common name of its certificates, which the routers' access list goes by."""
+        """Common name of its certificates, which the routers' access list uses."""
         return f"qdgrasp-{self.value}"
 
 
 @dataclass(frozen=True)
 class Credentials:
-    """The certificate of a role, its key, and the authority that the other side's must come from.
+    """The certificate of a role, its key, and the authority of the other side's certificate.
 
     Attributes
     ----------
     folder
-        Where the files lie.
+        Folder of the files.
     role
-        Which of them.
+        Role that they are of.
     """
 
     folder: Path
@@ -176,7 +176,7 @@ class Credentials:
 
     @classmethod
     def find(cls, folder: Path | None, role: Role) -> "Credentials | None":
-        """The files of a role in a folder; None where no folder was named.
+        """Return the files of a role in a folder; None if no folder is named.
 
         Raises
         ------
@@ -210,7 +210,7 @@ class Credentials:
         return self.folder / f"{self.role}.json5"
 
     def check(self) -> None:
-        """See that everything is there for us, and that nobody else can read the key."""
+        """Check that all files are readable, and that other users cannot read the key."""
         try:
             self._check()
         except OSError as error:
@@ -238,7 +238,7 @@ class Credentials:
 
 
 def _forbidden_permissions(key: Path) -> int:
-    """The permissions that a key must not give.
+    """Return the permissions that a key must not have.
 
     Kubernetes and systemd hand a key to a service so: it stays root's, and a group of one may read it.
     """
@@ -247,7 +247,7 @@ def _forbidden_permissions(key: Path) -> int:
 
 
 Mode = Literal["client", "router"]
-"""Routers relay; everybody else is a client of them."""
+"""Session mode: routers relay, all other sessions are clients of them."""
 ZenohSettings = dict[str, object]
 """Values by their path in a zenoh configuration."""
 
@@ -262,7 +262,7 @@ BASE_SETTINGS: ZenohSettings = {
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
 }
-"""What every session is opened with (docs/decisions/0003-bus-sessions-and-access.md)."""
+"""Settings common to all sessions (docs/decisions/0003-bus-sessions-and-access.md)."""
 RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5}
 FOREVER = -1
 
@@ -275,7 +275,7 @@ def session_settings(
     credentials: Credentials | None = None,
     seconds: float = 0.0,
 ) -> ZenohSettings:
-    """The settings of a session.
+    """Return the settings of a session.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def session_settings(
 
 
 def check_encryption(endpoint: Endpoint, credentials: Credentials | None) -> None:
-    """See that an endpoint is encrypted where, and only where, there are certificates."""
+    """Check that an endpoint is encrypted where, and only where, there are certificates."""
     if endpoint.is_encrypted and credentials is None:
         raise EndpointError(
             f"{endpoint.text} is encrypted and needs certificates: name their folder with --security "
@@ -321,7 +321,7 @@ def check_encryption(endpoint: Endpoint, credentials: Credentials | None) -> Non
 
 
 def nest_settings(values: Mapping[str, object]) -> dict[str, Any]:
-    """Settings as the tree that a configuration file holds."""
+    """Return settings as the tree that a configuration file holds."""
     tree: dict[str, Any] = {}
     for path, value in values.items():
         *branches, leaf = path.split("/")
@@ -333,7 +333,7 @@ def nest_settings(values: Mapping[str, object]) -> dict[str, Any]:
 
 
 def to_json5(values: Mapping[str, object], comment: str) -> str:
-    """A zenoh configuration file with these settings, under a comment."""
+    """Return a zenoh configuration file with these settings, under a comment."""
     head = "".join(f"// {line}\n" for line in comment.splitlines())
     return f"{head}{json.dumps(nest_settings(values), indent=2)}\n"
 
@@ -350,7 +350,7 @@ def _endpoint_settings(
 
 
 def _tls_settings(mode: Mode, credentials: Credentials) -> ZenohSettings:
-    """Both sides show a certificate, and a link ends with the certificate it was opened by."""
+    """Return the TLS settings: both sides show a certificate, and links end when it expires."""
     certificate, key = str(credentials.certificate), str(credentials.key)
     shown: ZenohSettings = {"connect_certificate": certificate, "connect_private_key": key}
     if mode == "router":
@@ -377,16 +377,16 @@ REFUSAL_SECONDS = (
 
 
 class Unreachable(EndpointError):
-    """No router answers, with the reason for encrypted endpoints.
+    """Error when no router answers, with the reason for encrypted endpoints.
 
     Parameters
     ----------
     endpoints
         All that were tried.
     seconds
-        For how long.
+        Time spent trying.
     credentials
-        What the session showed.
+        Credentials of the session.
     """
 
     def __init__(
@@ -421,12 +421,12 @@ class NotListening(EndpointError):
 
 
 def clean_zenoh_error(error: str) -> str:
-    """What zenoh says, without the places in its source, on one line."""
+    """Return zenoh's message on one line, without places in its source."""
     return " ".join(SOURCE_PLACE.sub("", error).split())[:MAX_ZENOH_ERROR].rstrip(".")
 
 
 def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
-    """Why a handshake at an encrypted endpoint fails; empty where it does not, or where nobody listens."""
+    """Return why a TLS handshake fails; empty if it succeeds, or the port is closed."""
     import ssl  # a worker that is welcome need not load it
 
     context = ssl.create_default_context(cafile=str(credentials.authority))
@@ -446,7 +446,7 @@ def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
 
 
 def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
-    """Shake hands with a router, and leave; whether it would have kept the link.
+    """Shake hands with a router, and close; returns whether it would have kept the link.
 
     Raises
     ------

@@ -20,13 +20,13 @@ from msgspec import Meta, Struct
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
 
 MAX_TOML_SIZE = 4 << 20
-"""The most characters that are looked at; 4096 poses of a hand with 25 joints are two million."""
+"""Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
 MAX_DOTS = 64  # The most dots between two separators of a line
 SEPARATORS = re.compile(r"[,={\[]")
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """The values in a TOML text.
+    """Return the values in a TOML text.
 
     Raises
     ------
@@ -46,22 +46,22 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def _dots_in_key(line: str) -> int:
-    """The most dots in what may be one key."""
+    """Return the largest number of dots in a possible key."""
     return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
 
 
 ProtocolName = Literal["paper", "released", "robust"]
 """The evaluation protocols (docs/protocols.md)."""
 Overlaps = Literal["count", "redraw"]
-"""Whether a pose whose open hand overlaps the object counts as an evaluation."""
+"""Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
 DEFAULT_METHOD = "aimed"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
 
 VALUE_HINTS = {"mass": " (kg)", "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)"}
-"""What is said of a key's value where it is wrong, besides its bounds."""
+"""Unit of a key's value, for errors."""
 STOP_KEYS = ("evaluations", "successes", "no_new_cell")
-"""The keys of a spec that say when a run ends: what may change when it goes on."""
+"""Keys of a spec's stop criteria, which may change when a run goes on."""
 
 
 class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
@@ -74,19 +74,22 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
     """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
     scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
-    """Metres to a unit of the object's mesh file, which its coordinates are multiplied by; None: 1."""
+    """Metres to a unit of the object's mesh file; None: 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Lateral friction coefficient of the object; None: 0.5, the paper's."""
     method: str = DEFAULT_METHOD
-    """A search with its prior. Where a run is asked for, it says what `overlaps`, `population` and
-    `generations_in_flight` are unless they are given; their defaults here are the paper's."""
+    """A search with its prior.
+
+    When a run is requested it decides `overlaps`, `population` and `generations_in_flight` unless they are
+    given; their defaults here are the paper's.
+    """
     protocol: ProtocolName = "paper"
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """So many successes end the run before its budget is spent; None: they do not."""
+    """Successes that end the run before its budget is spent; None: no such criterion."""
     no_new_cell: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """So many counted evaluations without a success in a new cell end it; None: they do not."""
+    """Counted evaluations without a new success cell that end the run; None: no criterion."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     overlaps: Overlaps = "count"
     population: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] = 500
@@ -102,8 +105,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MAX_POPULATION)] | None = (
         None
     )
-    """The hand poses that the method `given` scores, and no other has: x y z [m], qx qy qz qw, then synergy
-    label and free joints [rad] where the hand has them; decimals that float32 gives back."""
+    """The hand poses that the method `given` scores, and no other method has.
+
+    x y z [m], qx qy qz qw, then synergy label and free joints [rad] where the hand has them; decimals that
+    float32 gives back.
+    """
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
@@ -137,7 +143,7 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
 
 
 def read_run_spec(path: Path) -> dict[str, Any]:
-    """The values in a TOML file, not yet checked.
+    """Return the values in a TOML file, not yet checked.
 
     Raises
     ------
@@ -154,7 +160,7 @@ def read_run_spec(path: Path) -> dict[str, Any]:
 
 
 def from_toml(text: str, where: str = "spec") -> RunSpec:
-    """The spec in a TOML text; the inverse of `to_toml`.
+    """Return the spec in a TOML text; the inverse of `to_toml`.
 
     Raises
     ------
@@ -165,7 +171,7 @@ def from_toml(text: str, where: str = "spec") -> RunSpec:
 
 
 def differences(one: RunSpec, other: RunSpec) -> list[str]:
-    """The keys in which two specs differ, besides those that say when a run ends."""
+    """Return the keys in which two specs differ, without the stop criteria."""
     return [
         key
         for key in one.__struct_fields__
@@ -174,12 +180,12 @@ def differences(one: RunSpec, other: RunSpec) -> list[str]:
 
 
 def to_values(spec: RunSpec) -> dict[str, Any]:
-    """The full spec as plain values; fields that are None are left out."""
+    """Return the full spec as plain values, without fields that have no value."""
     return {key: value for key, value in msgspec.structs.asdict(spec).items() if value is not None}
 
 
 def to_toml(spec: RunSpec) -> str:
-    """The full spec as TOML; fields that are None are left out, and each pose has a line."""
+    """Return the full spec as TOML, without fields that have no value; each pose on a line."""
     values = to_values(spec)
     poses = values.pop("poses", ())
     lines = "".join(f"    [{', '.join(map(repr, pose))}],\n" for pose in poses)

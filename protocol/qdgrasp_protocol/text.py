@@ -16,28 +16,28 @@ def printable(text: str, most: int | None = None) -> str:
 
 
 def counted(n: int, thing: str, things: str = "", told: Callable[[int], str] = str) -> str:
-    """So many things: "1 run", "2 runs"; `things` where it takes more than an s, `told` writes the number."""
+    """Return a number with its noun: "1 run", "2 runs"; `told` formats the number."""
     return f"{told(n)} {thing if n == 1 else things or f'{thing}s'}"
 
 
 def first_few(words: Sequence[str], most: int) -> str:
-    """The first words, and how many more there are: "a, b and 3 more"."""
+    """Return the first words, and the number of the others: "a, b and 3 more"."""
     more = f" and {len(words) - most} more" if len(words) > most else ""
     return ", ".join(words[:most]) + more
 
 
 def quoted(names: Iterable[str]) -> list[str]:
-    """Names that others have given: "'a'"."""
+    """Quote names from users: "'a'"."""
     return [f"'{name}'" for name in names]
 
 
 def join_numbers(values: Iterable[float]) -> str:
-    """Numbers, such as those of an axis: "0, 0, 1"."""
+    """Format numbers, such as those of an axis: "0, 0, 1"."""
     return ", ".join(f"{value:g}" for value in values)
 
 
 def parse_numbers(text: str) -> list[float]:
-    """The numbers between commas that somebody has typed; none where there is anything else."""
+    """Parse typed numbers between commas; empty where there is anything else."""
     try:
         return [float(word) for word in text.split(",")]
     except ValueError:

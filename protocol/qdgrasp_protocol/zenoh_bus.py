@@ -50,7 +50,7 @@ ERROR_ENCODINGS: dict[type[BusError], str] = {
     Refused: "text/plain;qdgrasp.refusal",
     Faulty: "text/plain;qdgrasp.fault",
 }
-"""The encodings of error replies by what they tell; one without either is zenoh's own (a time-out)."""
+"""Encodings of error replies by error; a reply without either is zenoh's own (time-out)."""
 
 MAX_REASON = 1000  # The most bytes that are shown of a refusal
 
@@ -59,11 +59,11 @@ QOS = {
     Channel.CONTROL: (zenoh.CongestionControl.BLOCK, zenoh.Priority.INTERACTIVE_HIGH),
     Channel.MONITOR: (zenoh.CongestionControl.DROP, zenoh.Priority.DATA_LOW),
 }
-"""Congestion control and priority by channel. Links are streams: what is not dropped before is reliable."""
+"""Congestion control and priority by channel; links are streams: only drops lose messages."""
 
 
 def free_endpoint(credentials: Credentials | None = None) -> str:
-    """The default endpoint on loopback if its port is free, else one on a port that is free now."""
+    """Return the default loopback endpoint if its port is free, else one on a free port."""
     default = default_endpoint(encrypted=credentials is not None)
     for port in (default.port, 0):
         try:
@@ -169,7 +169,7 @@ class ZenohBus(Bus):
     def embedded(
         cls, endpoint: str | None, credentials: Credentials | None = None, *, insecure: bool = False
     ) -> tuple["ZenohBus", str]:
-        """Open a router on `endpoint`, or, where that is None, on a free port; and where that is.
+        """Open a router on `endpoint`, or on a free port for None; returns the endpoint too.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class ZenohBus(Bus):
         return cls.router(chosen, credentials=credentials), chosen
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
-        """Publish one message; a Publisher per key would leak memory on every join."""
+        """Publish one message, without a Publisher per key, which would leak memory on every join."""
         congestion_control, priority = QOS[channel]
         self._try(
             lambda: self._session.put(
@@ -195,7 +195,7 @@ class ZenohBus(Bus):
         )
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
-        """Hear messages."""
+        """Subscribe to messages."""
 
         def heard(sample: zenoh.Sample) -> None:
             handler(_sample(sample))
@@ -203,7 +203,7 @@ class ZenohBus(Bus):
         return self._declare(heard, lambda call: self._session.declare_subscriber(pattern, call))
 
     def ring(self, pattern: str, capacity: int) -> RingBuffer:
-        """Keep messages in a ring of zenoh's own."""
+        """Buffer messages in a zenoh ring channel."""
         ring = ZenohRing()
         channel: Any = zenoh.handlers.RingChannel(capacity)
 
@@ -215,7 +215,7 @@ class ZenohBus(Bus):
         return ring
 
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
-        """Answer queries; a query that was let go unanswered ends its asker's waiting."""
+        """Answer queries; an unanswered query is released, which ends the asker's wait."""
 
         def asked(query: zenoh.Query) -> None:
             with query:
@@ -249,7 +249,7 @@ class ZenohBus(Bus):
         return self._declare(asked, lambda call: self._session.declare_queryable(pattern, call))
 
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
-        """Query all there are."""
+        """Query all matching keys."""
         replies = self._try(
             lambda: self._session.get(pattern, timeout=timeout, consolidation=zenoh.ConsolidationMode.NONE)
         )
@@ -257,11 +257,11 @@ class ZenohBus(Bus):
         return {str(sample.key_expr): sample.payload.to_bytes() for sample in found}
 
     def token(self, key: str) -> AbstractContextManager[None]:
-        """Be alive; the session declares it again whenever it is connected again."""
+        """Declare a liveliness token, which zenoh declares again at each reconnection."""
         return self._hold(Declaration(), lambda: self._session.liveliness().declare_token(key))
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
-        """Hear of tokens; a change that is none (an echo after a reconnection) is not told."""
+        """Watch tokens; repeated states (echoes after a reconnection) are not reported."""
         alive: set[str] = set()
 
         def changed(sample: zenoh.Sample) -> None:
@@ -276,7 +276,7 @@ class ZenohBus(Bus):
         )
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
-        """Hear of the transport to the router."""
+        """Report changes of the transport to the router."""
         if self._mode == "router":
             return Declaration()
 
@@ -286,12 +286,12 @@ class ZenohBus(Bus):
         return self._declare(changed, self._session.info.declare_transport_events_listener)
 
     def close(self) -> None:
-        """Close the session; a process that does not hangs at its end."""
+        """Close the session; without it the process hangs at its end."""
         self._held.clear()
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
 
     def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
-        """Declare something whose callback logs what it raises and falls silent with the declaration."""
+        """Declare a callback; its errors are logged, and it is not called after the end."""
         declaration = Declaration()
 
         def call(argument: T) -> None:
@@ -304,7 +304,7 @@ class ZenohBus(Bus):
         return self._hold(declaration, lambda: declare(call))
 
     def _hold(self, declaration: Declaration, declare: Callable[[], Any]) -> Declaration:
-        """Declare something, and hold it until it is taken back."""
+        """Declare something, and hold it until it is undone."""
         entity = self._try(declare)
 
         def undo() -> None:
@@ -328,7 +328,7 @@ class ZenohRing(RingBuffer):
     subscriber: Any
 
     def take(self) -> list[Sample]:
-        """Take what is there."""
+        """Take the buffered messages."""
         taken = []
         with suppress(zenoh.ZError):  # the session was closed
             while self.holds and (sample := self.subscriber.try_recv()) is not None:
@@ -341,14 +341,14 @@ def _sample(sample: zenoh.Sample) -> Sample:
 
 
 def _config(chosen: ZenohSettings, config: zenoh.Config) -> zenoh.Config:
-    """A configuration with these settings over what it holds."""
+    """Apply settings to a configuration."""
     for name, value in chosen.items():
         config.insert_json5(name, json.dumps(value))
     return config
 
 
 def _router_config(credentials: Credentials) -> zenoh.Config:
-    """What a router's file holds, with its access list."""
+    """Return a router's configuration file, after a check of its access list."""
     path = credentials.configuration
     try:
         config = zenoh.Config.from_json5(path.read_text())
@@ -365,12 +365,12 @@ def _router_config(credentials: Credentials) -> zenoh.Config:
 
 
 def _reply(query: zenoh.Query, handler: QueryHandler) -> None:
-    """Answer one query, by the handler's answer or by why there is none."""
+    """Answer one query with the handler's answer, or its error."""
     _show(query, lambda asked: {asked.key: handler(asked)})
 
 
 def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
-    """Answer one query with the values that match it, or by why there are none."""
+    """Answer one query with the values that match it, or the handler's error."""
     key = str(query.key_expr)
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:
@@ -387,5 +387,5 @@ def _show(query: zenoh.Query, handler: ValuesHandler) -> None:
 
 
 def _reason(payload: bytes) -> str:
-    """The reason of a refusal as it may be shown to a person."""
+    """Return a refusal's reason, escaped for a person."""
     return printable(payload[:MAX_REASON].decode(errors="ignore"))

@@ -90,7 +90,7 @@ KINDS = [
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 SHOWN = (RunStatus, JobStatus, WorkersPage, JobMeta, JobEvent, JobEvents, GrowthCurve, RunListings, Heartbeat)
 CONSUMERS: dict[str, Consumer] = {
-    **{kind.__name__.lower(): OWN.get(kind, plain(kind)) for kind in KINDS},
+    **{kind.wire_name: OWN.get(kind, plain(kind)) for kind in KINDS},
     **{kind.__name__.lower(): shown(kind) for kind in SHOWN},
 }
 """By the kind of message."""
@@ -122,7 +122,7 @@ def seeds() -> dict[str, bytes]:
             "runs": [messages.OpenRun(run="run", spec=SPEC, scene=DIGEST, genes=7, joints=2, descriptors=3)]
         },
     }
-    made = {kind.__name__.lower(): messages.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
+    made = {kind.wire_name: messages.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
     return made | {kind.__name__.lower(): to_json(_shown(kind)) for kind in SHOWN}
 
 
@@ -133,6 +133,8 @@ def _shown(kind: Any) -> Any:
 
 def _value(kind: Any) -> Any:
     match kind:
+        case msgspec.inspect.Metadata(type=inner):
+            return _value(inner)
         case msgspec.inspect.StructType(cls=cls, fields=fields):
             return cls(**{field.name: _value(field.type) for field in fields})
         case msgspec.inspect.UnionType(types=types):

@@ -24,6 +24,8 @@ KINDS = [
 def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
     """Values that a field's type allows."""
     match kind:
+        case msgspec.inspect.Metadata():
+            return values(kind.type)
         case msgspec.inspect.IntType():
             return st.integers(kind.ge or 0, kind.le)
         case msgspec.inspect.FloatType():
@@ -67,6 +69,11 @@ def test_every_kind_has_an_encoding_of_its_own() -> None:
     assert len(KINDS) >= 12
     assert len({messages.encoding(kind) for kind in KINDS}) == len(KINDS)
     assert messages.encoding(Result) == "application/msgpack;qdgrasp.result.v1"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_message_says_its_name_on_the_wire_itself(kind: type[Message]) -> None:
+    assert vars(kind)["wire_name"]
 
 
 @settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

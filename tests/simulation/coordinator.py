@@ -28,7 +28,7 @@ from qdgrasp_protocol.keys import last_chunk
 from qdgrasp_protocol.messages import Join, Message
 
 RETRY = 0.5
-"""Seconds between two tries to open a run; fewer tries than in the service, for the sake of time."""
+"""Seconds between two tries to open a run; longer than in the service, to save time."""
 
 
 class NotNow(Exception):
@@ -42,7 +42,7 @@ def not_now() -> None:
 
 @dataclass
 class Line:
-    """What the link to the recorder needs of a bus."""
+    """The part of a bus that the link to the recorder needs."""
 
     host: "Coordinator"
 
@@ -54,7 +54,7 @@ class Line:
 
 
 class SimulatedLoader:
-    """Opens the runs of a job one at a time, as the loader's thread does; also the queue of the runs.
+    """Opens the runs of a job one at a time, without a thread; also the queue of the runs.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Coordinator(Process):
             on_finished=lambda run, _now: self.note(f"{run.name} is done"),
         )
         self.link_is_up = True
-        """What its scheduler knows of its link."""
+        """True if its scheduler knows of no cut link."""
         self.is_done = False
         """All runs are finished and recorded."""
         self.was_replaced = False

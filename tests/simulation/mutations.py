@@ -1,4 +1,4 @@
-"""Mutations: each breaks one rule of a state machine; the invariants must notice, within some histories.
+"""Mutations: each breaks one rule, and invariants must notice within some histories.
 
 `MUTATIONS` names them: what is replaced, by what. A mutation that nothing notices says that the histories
 are too tame, or an invariant is missing.
@@ -43,7 +43,7 @@ class Mutation:
     rule: str
     """The rule of docs/bus.md, or what else is broken."""
     invariants: tuple[str, ...]
-    """Which of them are to notice; what else is violated says nothing, for any fault may break anything."""
+    """Those that are to notice; others do not count, for any fault may break anything."""
     patches: Callable[[], list[Patch]]
 
     @contextmanager
@@ -415,7 +415,7 @@ MUTATIONS = [
 
 
 def noticed(mutation: Mutation, most: int = MOST, first: int = 0) -> tuple[str, int] | None:
-    """Which of the invariants that are to notice a mutation did, and after how many histories; None: none."""
+    """Return the invariant that noticed a mutation, and the number of histories; else None."""
     with mutation.applied():
         for count, number in enumerate(range(first, first + most), 1):
             violated = play(wild(number)).violated

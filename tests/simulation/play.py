@@ -124,7 +124,7 @@ class Faults:
             process.end(flushed=self._chance.random() < 0.5)
 
     def _repeat(self) -> None:
-        """Repeat an old message, except work: nobody but the coordinator may send that."""
+        """Repeat an old message, except work: only the coordinator may send that."""
         recent = [entry for entry in self._stage.network.recent if "/@work/" not in entry[0].key]
         if recent:
             self._stage.network.repeat(*self._chance.choice(recent))
@@ -155,17 +155,17 @@ SMALL = [
 
 @dataclass
 class Verdict:
-    """How a history went."""
+    """Result of a history."""
 
     history: History
     violated: InvariantViolated | None = None
     seconds: float = 0.0
-    """How long it took in its world."""
+    """Its duration in its world."""
     events: int = 0
     counters: dict[str, int] = field(default_factory=dict)
-    """What the last coordinator's dispatch counted."""
+    """The counters of the last coordinator's dispatcher."""
     journals: dict[str, bytes] = field(default_factory=dict)
-    """What is on the disk of each run."""
+    """The bytes on the disk of each run."""
     trace: list[str] = field(default_factory=list)
 
 

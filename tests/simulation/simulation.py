@@ -1,4 +1,4 @@
-"""A whole simulation: its world, its processes, the keeper that restarts them, and its checks."""
+"""A whole simulation: its world, its processes, their restarts, and its checks."""
 
 import hashlib
 from collections import Counter
@@ -53,11 +53,11 @@ class Simulation:
         self.mishaps = Mishaps(self.world.chance, history.hiccup)
         self.processes: list[Process] = []
         self.task = history.runs[0].task
-        """What is evaluated, the same in all runs."""
+        """The search and evaluation, the same in all runs."""
         names = ["run"] if len(history.runs) == 1 else [f"run-{n}" for n in range(len(history.runs))]
         self.plans = dict(zip(names, history.runs, strict=True))
         self.journals = {run: journal_of(plan) for run, plan in self.plans.items()}
-        """What each run's journal is to be."""
+        """The journal that each run is to have."""
         self.lengths = {
             run: len(journal) // self.task.shape.dtype.itemsize for run, journal in self.journals.items()
         }
@@ -96,7 +96,7 @@ class Simulation:
 
     @property
     def calm_seconds(self) -> float:
-        """How long nothing went wrong."""
+        """Seconds in which nothing went wrong."""
         return max(0.0, self.world.now - self.calm_since)
 
     @property
@@ -113,14 +113,14 @@ class Simulation:
         return [p for p in self.processes if isinstance(p, kind) and not (living and p.is_over)]
 
     def some(self, kind: type[P]) -> P | None:
-        """Any one of the running processes of a kind; None where there is none."""
+        """Return any running process of a kind; None: there is none."""
         running = [process for process in self.of(kind) if process.is_running]
         return self.world.chance.choice(running) if running else None
 
     # Processes are started.
 
     def start_forger(self) -> None:
-        """Start somebody who forges results."""
+        """Start a process that forges results."""
         self.processes.append(Forger(self.world, self.network, f"{self._next():032x}"))
 
     def start_worker(self) -> None:
@@ -344,7 +344,7 @@ def _keys(run: str, rows: Generation) -> list[Key]:
 
 
 PATIENCE, LOSSY_PATIENCE = 150.0, 900.0
-"""Seconds of calm in which a row must have been recorded; where messages are lost, leases must pass first."""
+"""Seconds of calm in which a row must be recorded; on lossy links leases must pass first."""
 SETTLED_DOWN = 45.0
 """Seconds of calm after which only those are remembered who are there."""
 
@@ -376,7 +376,7 @@ class SimulationChecker:
         self._dispatches[host.name] = DispatchChecker(host, self._stage.task)
 
     def opened(self, books: RunStore) -> None:
-        """Hear that a recorder keeps the books; watches what it takes."""
+        """Watch the rows that a recorder takes."""
         take = books.take
 
         def taken(message: Recordable, now: float) -> Arrival:
@@ -388,7 +388,7 @@ class SimulationChecker:
         books.take = taken  # type: ignore[method-assign]
 
     def reported(self, report: Recorded) -> None:
-        """Hear what a recorder reports."""
+        """Check a recorder's report."""
         durable = self._stage.disk.counts().get(report.run, 0)
         require(report.durable <= durable, "acknowledged when durable", report.durable, "of", durable)
 

@@ -1,4 +1,4 @@
-"""Whatever happens to machines, links and disks: every invariant holds, and mutations are noticed."""
+"""Every invariant holds under faults of machines, links and disks; mutations are noticed."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -70,7 +70,7 @@ def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_
 
 
 def test_a_worker_whose_question_an_older_coordinator_answers_asks_again() -> None:
-    """The one that it serves knows of the join before only; what it leases would be passed over for ever."""
+    """The served coordinator knows only the join before; its leases would be ignored for ever."""
     appointment = JoinState("job")
     appointment.meet(8, True, 0.0)
     appointment.ask(2)
@@ -192,7 +192,7 @@ def aimed_task(overlaps: Overlaps) -> Task:
 
 
 SEARCHES = {entry.build: entry for entry in PAPER}.values()
-"""One method of each search: what tells the others apart, the prior, is not in these histories."""
+"""One method of each search: the prior, which tells the others apart, is not simulated."""
 
 
 @pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name)
@@ -267,7 +267,7 @@ class Listener:
 
 
 class Pair:
-    """Somebody who sends, and somebody who hears."""
+    """A sender and a receiver."""
 
     def __init__(self, terms: Terms) -> None:
         self.world = World(1)

@@ -1,4 +1,4 @@
-"""How busy 10 to 10 000 workers are kept, and how old the state is that a genome was made from."""
+"""Utilisation of 10 to 10 000 workers, and the age of the state behind a genome."""
 
 import csv
 import heapq
@@ -26,7 +26,7 @@ CREDIT = 2
 LATENCY = 0.002
 """Seconds that a message takes."""
 HANDLING = 50e-6
-"""What a batch takes of the coordinator's thread [s]."""
+"""Time of the coordinator's thread per batch [s]."""
 AT_ONCE = 256
 """Messages that it takes between two looks at what may be leased."""
 LEASE = 4.0
@@ -53,7 +53,7 @@ class Crew:
 
 @dataclass(frozen=True)
 class Task:
-    """What they work on."""
+    """The runs that the workers carry out."""
 
     runs: int = 1
     population: int = 500
@@ -63,7 +63,7 @@ class Task:
 
 @dataclass
 class Figures:
-    """What was seen of a fleet."""
+    """Measured figures of a fleet."""
 
     utilisation: float
     """The share of the workers' time that went into rows that count."""
@@ -169,7 +169,7 @@ class Fleet:
     # The coordinator.
 
     def _turn(self) -> None:
-        """Hear what came, and do what can be done, as the service does."""
+        """Process what came, and do what can be done, as the service does."""
         n = min(len(self._inbox), AT_ONCE)
         for _ in range(n):
             self._inbox.popleft()()
@@ -323,7 +323,7 @@ class Panel:
     name: str
     sizes: tuple[int, ...]
     seconds: float
-    """What a point takes at least."""
+    """Least duration of a point."""
     most: int
     """Batches that a point takes at most, beside two for each worker."""
 

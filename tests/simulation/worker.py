@@ -71,7 +71,7 @@ class Mishaps:
     failed: Counter[bytes] = field(default_factory=Counter)
 
     def strikes(self, row: np.void) -> bool:
-        """Whether a simulator fails on a row now."""
+        """True if a simulator fails on a row now."""
         key = row["genome"].tobytes() + row["trial"].tobytes()
         if self.failed[key] < 2 and self.chance.random() < self.rate:
             self.failed[key] += 1
@@ -81,14 +81,14 @@ class Mishaps:
 
 @dataclass(frozen=True)
 class Speed:
-    """How fast a simulator is."""
+    """Speed of a simulator."""
 
     row_seconds: float
     rows_at_once: int
 
 
 class Formula:
-    """What a worker has of a simulator's process.
+    """A simulator process as a worker sees it.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Formula:
 
     @property
     def vitals(self) -> ProcessStats:
-        """What it has taken of the processor and the memory."""
+        """Its use of processor and memory."""
         return ProcessStats(float(self._steps), 0)
 
     def say(self, frame: SimulatorMessage) -> None:
@@ -219,12 +219,12 @@ KEYS = Keys(JOB)
 GRACE = 1.5
 FETCH_SECONDS = 5.0
 CREDIT = 2
-"""What a worker asks for; a job that shares it with others gets less."""
+"""Batches that a worker asks for; a job that shares it with others gets fewer."""
 
 
 @dataclass
 class Line:
-    """What a worker's service needs of a bus."""
+    """The part of a bus that a worker's service needs."""
 
     host: "Worker"
 
@@ -296,7 +296,7 @@ class Worker(Process):
 
     @property
     def desk(self) -> JobSession | None:
-        """What it holds of the job; None while it knows of none."""
+        """Its session with the job; None while it knows of none."""
         appointment = self.service._jobs.get(JOB)
         return appointment.desk if appointment else None
 
@@ -351,7 +351,7 @@ def _event(event: object) -> Event:
 
 
 class Forger(Process):
-    """Somebody with a worker's certificate, who answers with nonsense what others were leased."""
+    """A process with a worker's certificate that forges results of others' leases."""
 
     def __init__(self, world: World, network: Network, wid: str) -> None:
         self._wid = wid

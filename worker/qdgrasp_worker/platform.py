@@ -3,38 +3,27 @@
 import hashlib
 import platform as machine
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-import qdgrasp_assets.genes
-import qdgrasp_assets.geometry.mesh
-import qdgrasp_assets.geometry.primitives
-import qdgrasp_assets.geometry.rotation
-import qdgrasp_assets.grippers.collision_shapes
-import qdgrasp_assets.grippers.urdf
-import qdgrasp_assets.scene
-import qdgrasp_protocol.rows
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_worker.syntax_digest import syntax_digest
 
-NOT_EVALUATING = frozenset({"cli", "platform", "replay", "runtime"})
-"""Modules and folders of this room that bring work, carry results away or show them, with no say in them."""
-CONTRACTS = (
-    qdgrasp_assets.genes,
-    qdgrasp_assets.grippers.collision_shapes,
-    qdgrasp_assets.geometry.mesh,
-    qdgrasp_assets.geometry.primitives,
-    qdgrasp_assets.geometry.rotation,
-    qdgrasp_assets.scene,
-    qdgrasp_assets.grippers.urdf,
-    qdgrasp_protocol.rows,
-)
-"""Modules of other rooms that an evaluation reads its input by and writes its result by."""
+EVALUATION = (Evaluator, unpack_scene, pack)
+"""What an evaluation goes through: all code that decides its bits is reached from here."""
+VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
+"""What version 0.1.0 recorded: the sha256 over its files."""
+FIRST_RECORDED_AS = {"e84ab162953609e284de1651806e4366e2c74313d46292f1a259797a0717cbfb": VERSION_0_1_0}
+"""Code that evaluates bit for bit as other code did before: its digest, and that of the code which was first.
+
+A platform names the first one, so that what was recorded with it is verified and gone on with. An entry is
+made where the probes and the runs of tests/golden have the digests that they had.
+"""
 PROBES = 16
 PROBE_GRASPS = 6
 PROBE_AIM = (-1.0, -0.5)
@@ -55,18 +44,14 @@ def platform() -> dict[str, str]:
 
 
 def code_digest() -> str:
-    """sha256 over the sources of everything that takes part in an evaluation."""
-    here = Path(__file__).parent
-    sources = [
-        path
-        for path in here.rglob("*.py")
-        if NOT_EVALUATING.isdisjoint(path.relative_to(here).with_suffix("").parts)
-    ]
-    contracts = [Path(str(module.__file__)) for module in CONTRACTS]
-    digest = hashlib.sha256()
-    for path in [*sorted(sources), *contracts]:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
+    """The digest of the code of an evaluation, or of the first code that gave the same bits."""
+    found = evaluation_digest()
+    return FIRST_RECORDED_AS.get(found, found)
+
+
+def evaluation_digest() -> str:
+    """The digest of all code that an evaluation goes through, as it is now (`syntax_digest`)."""
+    return syntax_digest(*EVALUATION)
 
 
 def probe_digest() -> str:

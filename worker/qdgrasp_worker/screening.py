@@ -46,7 +46,7 @@ class SweptVolume:
     """(levels, 3): in which direction across the approach axis it comes, see `directions`."""
 
     def shares(self, x: Singles, y: Singles, z: Singles) -> NDArray[np.float32]:
-        """How much of points (n, p) [m] is in it, and is so from opposite sides: (n, 2); `SweptVolumes.shares`."""
+        """Return the share of points (n, p) [m] inside, and inside from opposite sides: (n, 2)."""
         levels = self.voxels.at(x, y, z)
         within = np.count_nonzero(levels, axis=1)
         push = self.ways[levels].sum(axis=1, dtype=np.int64).astype(np.float64)

@@ -53,7 +53,7 @@ class PartsFit:
     filled: float
     """Share in front of which the parts fill free space."""
     bare: float
-    """Share that no part reaches."""
+    """Share that is outside all parts."""
 
     @property
     def is_good(self) -> bool:
@@ -113,7 +113,7 @@ def read_cached_parts(file: Path) -> tuple[Mesh, ...] | None:
 
 
 def write_cached_parts(parts: Iterable[Mesh], target: Path, name: str) -> tuple[Mesh, ...]:
-    """Write parts to `target`, whole or not at all; returns them as `read_cached_parts` reads them.
+    """Write parts to `target`, whole or not at all; returns them as read back from the file.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def _not_cached(folder: Path, name: str, error: OSError) -> AssetError:
 CORNER_TOLERANCE = 5e-4  # A corner that is not farther outside the hull of others is left out [m]
 MOST_CORNERS = 128  # Most corners of a part
 COACD_ITERATIONS = 50
-"""Iterations of CoACD's search for each cut; its own 150 take half as long again, no gain."""
+"""Iterations of CoACD's search per cut; its own 150 take half as long again, parts no fewer."""
 CORNERS_AT_ONCE = 1 << 17
 """Corners compared at once: their distances from `CORNERS` and their faces fill 300 MB."""
 OUTWARD_DIRECTIONS = np.array([*np.eye(3), *-np.eye(3), *product((-1.0, 1.0), repeat=3)])
@@ -241,7 +241,7 @@ def _run_decomposition(arguments: list[str], name: str, time_limit: float) -> No
 
 
 def simplify_part(part: Mesh) -> Mesh:
-    """Simplify a convex part so that no corner left out is farther outside than `CORNER_TOLERANCE`.
+    """Simplify a convex part so that no corner left out is farther outside than the tolerance.
 
     Greedy: it begins with the corners that are farthest in a few directions, and adds the one that is
     farthest outside the hull so far, until all are within the tolerance, or it has `CORNERS`.
@@ -357,7 +357,7 @@ def _cached_parts(mesh: Mesh) -> tuple[Mesh, ...] | None:
 
 
 def _own_hull(mesh: Mesh) -> Mesh:
-    """The hull of a mesh that is convex."""
+    """Return the hull of a mesh that is convex."""
     return simplify_part(hull(mesh.vertices))
 
 

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 OBJ_GROUP = re.compile(r"[ \t]*[og][ \t]")
-"""Start of another group, as in Bullet's reader: the word must be followed by a name."""
+"""Start of another group, as for Bullet's reader: a blank must follow the letter."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,10 @@ def scale_of(units: str | None, scale: float | None) -> float | None:
         There is no such unit, no mesh has that scale, or both are given.
     """
     if scale is not None and not 0 < scale <= LARGEST_SCALE:
-        expected = f"a number greater than 0 and at most {LARGEST_SCALE} (metres to a unit of the mesh file: 0.001 for mm)"
+        expected = (
+            f"a number greater than 0 and at most {LARGEST_SCALE} (metres to a unit of "
+            "the mesh file: 0.001 for mm)"
+        )
         raise ImpossibleValue("--scale", scale, expected)
     if units is None:
         return scale
@@ -119,7 +122,7 @@ class MeshFile:
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Read the triangles of any readable mesh file; parameters and errors as of `read_mesh_file`."""
+    """Read the triangles of any readable mesh file; otherwise as `read_mesh_file`."""
     return read_mesh_file(path).mesh
 
 
@@ -166,7 +169,8 @@ def check_file(path: Path) -> None:
         raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
     if size > LARGEST_FILE:
         raise AssetError(
-            f"The mesh '{path}' has {size} bytes, and at most {LARGEST_FILE >> 30} GiB are read: simplify it; "
+            f"The mesh '{path}' has {size} bytes, and at most {LARGEST_FILE >> 30} GiB are "
+            "read: simplify it; "
             "20 000 triangles show a finger as much."
         )
 
@@ -202,14 +206,19 @@ def _of_folder(path: Path) -> str:
 
 
 def _not_there(path: Path, why: str) -> str:
-    return f"No mesh file at '{path}': it {why}; name a file such as those that end with {', '.join(READABLE_FORMATS)}."
+    return (
+        f"No mesh file at '{path}': it {why}; name a file such as those that end with "
+        f"{', '.join(READABLE_FORMATS)}."
+    )
 
 
 def _not_read(path: Path, kind: str) -> str:
     if kind in FORMAT_PACKAGES:
         return (
-            f"The mesh '{path}' cannot be read: {kind} needs {FORMAT_PACKAGES[kind]}, which is not installed; "
-            f"`pip install {FORMAT_PACKAGES[kind].replace(' and', '')}`, or export it as STL, OBJ, PLY or GLB."
+            f"The mesh '{path}' cannot be read: {kind} needs {FORMAT_PACKAGES[kind]}, which "
+            "is not installed; "
+            f"`pip install {FORMAT_PACKAGES[kind].replace(' and', '')}`, or export it as STL, "
+            "OBJ, PLY or GLB."
         )
     return (
         f"The mesh '{path}' cannot be read: '{kind}' is not among the formats {', '.join(READABLE_FORMATS)} "

@@ -27,7 +27,8 @@ def surface_faults(mesh: Mesh) -> tuple[str, ...]:
         return ("it has vertices that are not finite",)
     if len(mesh.faces) > MOST_TRIANGLES:
         return (
-            f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken: simplify it, for example to "
+            f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken: "
+            "simplify it, for example to "
             "20 000 (quadric edge collapse decimation in MeshLab)",
         )
     edges = MeshEdges(mesh)
@@ -54,7 +55,7 @@ class MeshEdges:
 
     @cached_property
     def which(self) -> Numbers:
-        """(3 f,): the number of each directed edge without its direction."""
+        """(3 f,): index of each directed edge regardless of its direction."""
         low, high = self.directed.min(axis=1), self.directed.max(axis=1)
         _, which = np.unique(low * len(self.mesh.vertices) + high, return_inverse=True)
         return which.reshape(-1)
@@ -157,7 +158,8 @@ def _open_fault(edges: MeshEdges) -> str:
         where = point_in_words(edges_middle(edges.mesh, holes[0]))
         return (
             f"it is not closed (watertight): {loose} edges have only one triangle, around {around} "
-            f"{edges_width(edges.mesh, holes[0]):.4f} m wide at {where}; close it in the program that drew it, or "
+            f"{edges_width(edges.mesh, holes[0]):.4f} m wide at {where}; close it in the "
+            "program that drew it, or "
             "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`"
         )
     odd = np.flatnonzero(edges.times % 2)

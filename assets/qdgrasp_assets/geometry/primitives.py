@@ -119,7 +119,7 @@ Faces = NDArray[np.int64]
 
 
 def revolve(profile: Floats, sides: int) -> Floats:
-    """Return the profile at the corners (p, sides, 3) [m]; facet k is between corners k and k + 1.
+    """Return the profile at each corner (p, sides, 3) [m]; facet k is from corner k to k + 1.
 
     `profile` is (p, 2) [m]: radius and height. Facet 0 faces x.
     """
@@ -137,7 +137,7 @@ def disc(profile: Floats, sides: int) -> Mesh:
 
 
 def ring(cut: Floats, sides: int) -> list[Mesh]:
-    """Return a convex part for each facet of a ring with cross-section (n, 2), radius and height."""
+    """Return a convex part for each facet of a ring of cross-section (n, 2): radius, height."""
     corners = revolve(cut, sides)
     return [hull(np.concatenate([corners[:, side - 1], corners[:, side]])) for side in range(sides)]
 
@@ -153,7 +153,7 @@ def cup(profile: Floats, sides: int) -> Mesh:
 
 
 def fan(centre: int, ring: Faces) -> Faces:
-    """Return triangles from a centre to neighbours of a ring (s,) of vertices, counter-clockwise."""
+    """Return triangles from a centre to neighbours of a vertex ring (s,), counter-clockwise."""
     return np.stack([np.full(len(ring), centre), ring, np.roll(ring, -1)], axis=1)
 
 

@@ -295,11 +295,11 @@ def _comment(text: str) -> Iterator[str]:
 
 
 def _table(table: Struct) -> Iterator[str]:
-    """Return the lines of a table, without values that are the default."""
-    for field in structs.fields(table):
-        value = getattr(table, field.name)
-        if field.default is UNSET or value != field.default:
-            yield f"{field.name} = {_value(value)}"
+    """Yield the lines of a table, without values that are the default."""
+    for column in structs.fields(table):
+        value = getattr(table, column.name)
+        if column.default is UNSET or value != column.default:
+            yield f"{column.name} = {_value(value)}"
 
 
 def _value(value: Any) -> str:

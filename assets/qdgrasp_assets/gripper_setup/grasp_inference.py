@@ -330,7 +330,7 @@ def finger_mounts(closing: ClosingMotion) -> tuple[str, ...]:
 
 
 def _box_middle(corners: Floats) -> Floats:
-    """The middle (3,) of the box around corners (n, 3)."""
+    """Return the middle (3,) of the box around corners (n, 3)."""
     middle: Floats = (corners.min(axis=0) + corners.max(axis=0)) / 2
     return middle
 

@@ -208,7 +208,7 @@ def centre_base(robot: Urdf, base: str) -> CentredHand | None:
 
 
 def _base_frame(name: str) -> ET.Element:
-    """A link without shapes; without a mass the simulator would hold it still."""
+    """Return a link without shapes, but with a mass: without one Bullet would hold it still."""
     link = ET.Element("link", name=name)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value=f"{FRAME_MASS:g}")

@@ -171,7 +171,8 @@ def _reach_faults(hand: HandPostures) -> Iterator[str]:
     if offset >= reach:
         yield (
             f"palm_offset is {offset:g} m along the approach axis, and the fingers reach no farther than "
-            f"{reach:.4g} m; the palm's shapes end at {grasp_inference.palm_surface(hand.body, hand.axis)[0]:.4g} m"
+            f"{reach:.4g} m; the palm's shapes end at "
+            f"{grasp_inference.palm_surface(hand.body, hand.axis)[0]:.4g} m"
         )
 
 
@@ -215,7 +216,8 @@ def _inclined(hand: HandPostures) -> Iterator[str]:
     if LOOKS_AWAY >= approach_angle(hand) > AXIS_OFF:
         axis = join_numbers(grasp_inference.approach_direction(hand.closing))
         yield (
-            f"approach_axis is {np.degrees(approach_angle(hand)):.0f} degrees from where the fingers close, [{axis}]"
+            f"approach_axis is {np.degrees(approach_angle(hand)):.0f} degrees from where the "
+            f"fingers close, [{axis}]"
         )
 
 

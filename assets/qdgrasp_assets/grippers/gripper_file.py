@@ -154,7 +154,7 @@ class JawTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def packed(self) -> Jaw:
-        """Return the jaw in a scene's form."""
+        """The jaw in a scene's form."""
         return Jaw(axis=unit_vector(self.axis), opening=self.opening)
 
 
@@ -254,7 +254,7 @@ RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a r
 
 
 def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
-    """Return all faults of a gripper's file: impossible values, and mismatches with its URDF.
+    """Yield all faults of a gripper's file: impossible values, and mismatches with its URDF.
 
     Names exist, every joint that moves is told of, numbers are possible.
     """

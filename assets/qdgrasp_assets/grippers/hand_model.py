@@ -184,7 +184,7 @@ class HandModel:
         return mounts
 
     def frames(self, posture: Mapping[str, float]) -> dict[str, Floats]:
-        """Return each link's frame (4, 4) in the base link's; `posture` sets followers too [rad or m]."""
+        """Return each link's frame (4, 4) in the base link's; `posture` names followers too."""
         return self.robot.forward(posture)
 
     def placed(

@@ -105,7 +105,7 @@ class Urdf:
         return frames
 
     def outward(self, base: str) -> Iterator[UrdfJoint]:
-        """Return the joints beyond link `base`, each after the one that carries it."""
+        """Yield the joints beyond link `base`, each after the one that carries it."""
         reached = [base]
         for link in reached:
             for joint in self.joints:
@@ -323,7 +323,7 @@ OTHER_FORMATS = {
 
 
 def read_robot_element(path: Path) -> ET.Element:
-    """The `<robot>` element of a URDF.
+    """Read the `<robot>` element of a URDF.
 
     Raises
     ------

@@ -75,7 +75,8 @@ def _tree_faults(element: ET.Element) -> Iterator[str]:
     roots = [name for name in links if name not in hanging]
     if len(roots) > 1:
         yield (
-            f"it has {len(roots)} roots ({_few_names(roots)}), and a URDF has one: join them by fixed joints, "
+            f"it has {len(roots)} roots ({_few_names(roots)}), and a URDF has one: join them "
+            "by fixed joints, "
             "or leave out what is no part of the robot"
         )
     round_about = sorted(set(links) - _reached(element, roots))
@@ -100,7 +101,7 @@ def _reached(element: ET.Element, roots: Iterable[str]) -> set[str]:
 
 
 def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
-    """Return the parent and child link of each joint; empty where a joint does not name one."""
+    """Yield the parent and child link of each joint; empty where a joint does not name one."""
     for joint in element.findall("joint"):
         yield _end(joint, "parent"), _end(joint, "child")
 
@@ -224,11 +225,13 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     told = {name: inertial for name, inertial in inertials.items() if inertial is not None}
     yield (
         [name for name, inertial in inertials.items() if inertial is None],
-        f"without <inertial>, for which the simulator would take 1 kg: give a mass and an inertia, {MEND_ADVICE}",
+        "without <inertial>, for which the simulator would take 1 kg: give a mass and an "
+        f"inertia, {MEND_ADVICE}",
     )
     yield (
         [name for name, inertial in told.items() if _is_incomplete(inertial)],
-        f"with an <inertial> that lacks <mass> or <inertia>, which the simulator refuses: give both, {MEND_ADVICE}",
+        "with an <inertial> that lacks <mass> or <inertia>, which the simulator refuses: "
+        f"give both, {MEND_ADVICE}",
     )
     yield (
         [name for name, inertial in told.items() if not _is_incomplete(inertial) and masses[name] is None],
@@ -312,7 +315,7 @@ def mesh_faults(hand: Urdf) -> tuple[str, ...]:
 
 
 def _kind_faults(hand: Urdf) -> Iterator[str]:
-    """Return a sentence for each kind of mesh file that the simulator does not read."""
+    """Yield a sentence for each kind of mesh file that the simulator does not read."""
     kinds: dict[str, list[str]] = {}
     for name in _references(hand):
         kinds.setdefault(_suffix(name), []).append(name)
@@ -380,7 +383,8 @@ def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
         return f"a <collision> of the link '{link}' has no shape in its <geometry>; add one, or leave it out"
     if form.tag not in TRIANGLE_FORMS:
         return (
-            f"the link '{link}' has a collision shape <{form.tag}>, and URDF knows {', '.join(TRIANGLE_FORMS)}: "
+            f"the link '{link}' has a collision shape <{form.tag}>, and URDF knows "
+            f"{', '.join(TRIANGLE_FORMS)}: "
             "make it one of those"
         )
     if form.tag == "mesh":

@@ -133,7 +133,8 @@ def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMeta
         qdgrasp=version("qdgrasp"),
         gripper=hand.name,
         gripper_frame=hand.base_link,
-        gripper_axes=f"those of link '{hand.base_link}'; it approaches along ({join_numbers(hand.approach_axis)})",
+        gripper_axes=f"those of link '{hand.base_link}'; it approaches along "
+        f"({join_numbers(hand.approach_axis)})",
         gripper_source=_printable(hand.source),
         gripper_licence=_printable(hand.licence),
         gripper_sha256=_part_digest(hand),
@@ -210,7 +211,8 @@ def jaw_metadata(about: GraspMetadata, gripper: SceneGripper) -> GraspMetadata:
     )
     turn = ", ".join(f"{value:.9g}" for value in jaw_turn(gripper) + 0.0)
     words = (
-        f"origin of link '{gripper.base_link}'; +z approaches, along ({join_numbers(gripper.approach_axis)}) of the "
+        f"origin of link '{gripper.base_link}'; +z approaches, along "
+        f"({join_numbers(gripper.approach_axis)}) of the "
         f"link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
     )
     return about.told(axes=words, quaternions=MATRIX_WORDS)

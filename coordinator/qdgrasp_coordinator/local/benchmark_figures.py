@@ -309,7 +309,10 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
     def foretold(self) -> str:
         """Predicted time of a run, in words."""
         times = [f"{duration(time)} if all are {regime}" for regime, time in self.run_seconds.items()]
-        return f"{RUN_EVALUATIONS:,} evaluations take {', '.join(times)}{'; a search lies between' * (len(times) > 1)}."
+        return (
+            f"{RUN_EVALUATIONS:,} evaluations take "
+            f"{', '.join(times)}{'; a search lies between' * (len(times) > 1)}."
+        )
 
 
 class NodeFigures(Struct, frozen=True, kw_only=True):

@@ -3,13 +3,10 @@
 Defined once, published about once a second (docs/bus.md), shown by every monitor.
 """
 
-import ast
-import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import cache
-from itertools import pairwise
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar, get_type_hints
 
 import msgspec
 from msgspec import Meta, Struct, structs
@@ -26,30 +23,30 @@ RUNS_PER_PAGE = 256  # The most entries in one answer
 class RunListing(RunTotals, frozen=True, kw_only=True):
     """Identity of a run, and what its rows add up to: in progress, or in a job's folder."""
 
-    run: str
-    """Its name in its job."""
-    gripper: str
-    """As the spec names it: built in, or a file."""
-    object: str
-    """As the spec names it: built in, on the asset path, or a file."""
-    method: str
-    """The search with its prior."""
-    protocol: str
-    """The evaluation protocol."""
-    seed: int
-    """Of the search."""
-    scene: str
-    """sha256 of the scene bundle."""
-    budget: int
-    """Counted evaluations after which it is over."""
-    rows: int
-    """Journal rows: genomes and trials."""
-    outcomes: dict[str, int]
-    """Genomes by how their nominal evaluation ended: each `Outcome` by its name in lower case."""
-    finished: str = ""
-    """Reason why the run is over, in words; empty while it is not."""
-    folder: str = ""
-    """Its folder on the recorder's machine, absolute; empty where a coordinator tells of it."""
+    run: Annotated[str, Meta(description="Its name in its job.")]
+    gripper: Annotated[str, Meta(description="As the spec names it: built in, or a file.")]
+    object: Annotated[str, Meta(description="As the spec names it: built in, on the asset path, or a file.")]
+    method: Annotated[str, Meta(description="The search with its prior.")]
+    protocol: Annotated[str, Meta(description="The evaluation protocol.")]
+    seed: Annotated[int, Meta(description="Of the search.")]
+    scene: Annotated[str, Meta(description="sha256 of the scene bundle.")]
+    budget: Annotated[int, Meta(description="Counted evaluations after which it is over.")]
+    rows: Annotated[int, Meta(description="Journal rows: genomes and trials.")]
+    outcomes: Annotated[
+        dict[str, int],
+        Meta(
+            description="Genomes by how their nominal evaluation ended: "
+            "each `Outcome` by its name in lower case."
+        ),
+    ]
+    finished: Annotated[str, Meta(description="Why the run is over, in words; empty while it is not.")] = ""
+    folder: Annotated[
+        str,
+        Meta(
+            description="Its folder on the recorder's machine, absolute; "
+            "empty where a coordinator tells of it."
+        ),
+    ] = ""
 
     @classmethod
     def of(cls, run: str, spec: RunSpec, scene: str, found: RunCounter) -> "RunListing":
@@ -73,16 +70,22 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
 class RunListings(Struct, frozen=True, kw_only=True):
     """Runs in a job's folder, also finished ones, by name. JSON, the answer on `rec/runs`."""
 
-    runs: list[RunListing]
-    """Those whose rows are counted."""
-    next: int = 0
-    """Ask with `from=<next>` for the runs behind these; 0: these are the last."""
-    uncounted: int = 0
-    """Runs left out because their rows are still being counted: ask again in a while."""
-    host: str = ""
-    """The recorder's machine."""
-    curve: GrowthCurve | None = None
-    """Curve of the one run that was asked for; None: all were, or its rows are not all there."""
+    runs: Annotated[list[RunListing], Meta(description="Those whose rows are counted.")]
+    next: Annotated[
+        int, Meta(description="Ask with `from=<next>` for the runs behind these; 0: there are none.")
+    ] = 0
+    uncounted: Annotated[
+        int,
+        Meta(description="Runs left out because their rows are still being counted: ask again in a while."),
+    ] = 0
+    host: Annotated[str, Meta(description="The recorder's machine.")] = ""
+    curve: Annotated[
+        GrowthCurve | None,
+        Meta(
+            description="How the one run grew that was asked for; "
+            "None where all were, or where its rows are not all there."
+        ),
+    ] = None
 
 
 EVENTS_KEPT = 200  # Events that a coordinator keeps for late subscribers
@@ -94,25 +97,24 @@ EventKind = Literal["job", "run", "worker", "recorder", "trouble", "error"]
 class JobEvent(Struct, frozen=True, kw_only=True):
     """Something that happened. Travels as JSON on `event/<kind>`."""
 
-    number: int
-    """Counts the events of one coordinator process, from 1."""
-    at: Annotated[datetime, Meta(tz=True)]
-    """Time of the event."""
-    kind: EventKind
-    """job, run, worker, recorder; trouble: the job cannot go on; error: a row or run given up."""
-    words: str
-    """Description in a sentence for a person."""
-    run: str = ""
-    """The run that it is about; empty: no run."""
-    worker: str = ""
-    """The `wid` of the worker that it is about; empty: no worker."""
+    number: Annotated[int, Meta(description="Counts the events of one coordinator process, from 1.")]
+    at: Annotated[datetime, Meta(tz=True, description="When.")]
+    kind: Annotated[
+        EventKind,
+        Meta(
+            description="job, run, worker, recorder; trouble keeps a job from going on; "
+            "error: a row or run is given up."
+        ),
+    ]
+    words: Annotated[str, Meta(description="What, in a sentence for a person.")]
+    run: Annotated[str, Meta(description="Which run it is about; empty: none.")] = ""
+    worker: Annotated[str, Meta(description="Which worker (its `wid`) it is about; empty: none.")] = ""
 
 
 class JobEvents(Struct, frozen=True, kw_only=True):
     """Latest events, eldest first, at most `EVENTS_KEPT`. JSON, the answer to `event/recent`."""
 
-    events: list[JobEvent]
-    """At most 200, eldest first."""
+    events: Annotated[list[JobEvent], Meta(description="At most 200, eldest first.")]
 
 
 WORKERS_PER_PAGE = 64  # The most workers on one page
@@ -121,28 +123,32 @@ WORKERS_PER_PAGE = 64  # The most workers on one page
 class WorkerStatus(Struct, frozen=True, kw_only=True):
     """A worker of a job, as the coordinator sees it."""
 
-    wid: str
-    """Its id: 32 hexadecimal digits, new at every start."""
-    host: str
-    """Host that it runs on."""
-    pid: int
-    """Of its process."""
-    state: str
-    """"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone"."""
-    batches: int
-    """Batches that it holds."""
-    rows: int
-    """Rows that it has settled."""
-    rate: float
-    """Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s]."""
-    seconds: float
-    """Since it joined [s]."""
-    seen: float
-    """Since it was heard of last, by a sign, a result or a join [s]."""
-    memory: int
-    """Memory of it and its simulator, as reported last [bytes]; 0: not reported yet."""
-    restarts: int
-    """Number of times that it has started its simulator again."""
+    wid: Annotated[str, Meta(description="Its id: 32 hexadecimal digits, new at every start.")]
+    host: Annotated[str, Meta(description="Where it runs.")]
+    pid: Annotated[int, Meta(description="Of its process.")]
+    state: Annotated[
+        str,
+        Meta(
+            description='"working", "idle", "stuck" (it let a lease pass), '
+            '"leaving" (it is drained) or "gone".'
+        ),
+    ]
+    batches: Annotated[int, Meta(description="Batches that it holds.")]
+    rows: Annotated[int, Meta(description="Rows that it has settled.")]
+    rate: Annotated[
+        float,
+        Meta(description="Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s]."),
+    ]
+    seconds: Annotated[float, Meta(description="Since it joined [s].")]
+    seen: Annotated[float, Meta(description="Since it was heard of last, by a sign, a result or a join [s].")]
+    memory: Annotated[
+        int,
+        Meta(
+            description="What it and its simulator have of the memory, as it said last [bytes]; "
+            "0: it has not said."
+        ),
+    ]
+    restarts: Annotated[int, Meta(description="How often it has started its simulator again.")]
 
 
 class WorkersPage(Struct, frozen=True, kw_only=True):
@@ -151,27 +157,32 @@ class WorkersPage(Struct, frozen=True, kw_only=True):
     A worker that is gone stays on it for a minute.
     """
 
-    page: int
-    """Counted from 0."""
-    pages: int
-    """Number of pages; those of a higher number, shown before, are not valid any more."""
-    workers: list[WorkerStatus]
-    """At most 64, in the order of their joins; those that are gone stand last, for a minute."""
+    page: Annotated[int, Meta(description="Counted from 0.")]
+    pages: Annotated[
+        int,
+        Meta(
+            description="How many there are; those of a higher number, shown before, are not valid any more."
+        ),
+    ]
+    workers: Annotated[
+        list[WorkerStatus],
+        Meta(
+            description="At most 64, in the order in which they joined; "
+            "those that are gone stand last, for a minute."
+        ),
+    ]
 
 
 @cache
 def meanings(kind: type[Struct]) -> dict[str, str]:
     """Return the docstring of each field of a struct, of its bases too, each in one line."""
-    bases = [base for base in reversed(kind.__mro__) if issubclass(base, Struct) and base is not Struct]
-    return {field: words for base in bases for field, words in _written(base)}
-
-
-def _written(kind: type[Struct]) -> Iterator[tuple[str, str]]:
-    lines = [line for each in ast.parse(inspect.getsource(kind)).body for line in getattr(each, "body", ())]
-    for field, below in pairwise(lines):
-        match field, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
-                yield name, " ".join(words.split())
+    hints = get_type_hints(kind, include_extras=True)
+    return {
+        field: meta.description
+        for field, hint in hints.items()
+        for meta in getattr(hint, "__metadata__", ())
+        if isinstance(meta, Meta) and meta.description
+    }
 
 
 GREATEST_COUNT = 2**63  # Greatest number allowed in a published struct
@@ -182,16 +193,13 @@ STARTUP_SECONDS = 30.0  # seconds in which a job that has no recorder yet is tak
 class RunStatus(RunListing, frozen=True, kw_only=True):
     """Progress of a run. Travels as JSON on `stat/run/<run>`."""
 
-    workers: int
-    """Workers of the job that are there, and make progress."""
-    durable: int
-    """Rows that the recorder reports to be on disk."""
-    seconds: float
-    """Since the coordinator opened the run [s]."""
-    rate: float
-    """Counted evaluations since then, replayed ones apart [1/s]."""
-    trouble: str = ""
-    """Cause that keeps the run from going on, in words; empty when nothing does."""
+    workers: Annotated[int, Meta(description="Workers of the job that are there, and make progress.")]
+    durable: Annotated[int, Meta(description="Rows that the recorder reports to be on disk.")]
+    seconds: Annotated[float, Meta(description="Since the coordinator opened the run [s].")]
+    rate: Annotated[float, Meta(description="Counted evaluations since then, replayed ones apart [1/s].")]
+    trouble: Annotated[
+        str, Meta(description="What keeps the run from going on, in words; empty when nothing does.")
+    ] = ""
 
     @property
     def remaining(self) -> int:
@@ -212,38 +220,51 @@ class RunStatus(RunListing, frozen=True, kw_only=True):
 class JobStatus(RunTotals, frozen=True, kw_only=True):
     """Progress of a job with all of its runs. Travels as JSON on `stat/job`."""
 
-    job: str
-    """Its name."""
-    runs: int
-    """Runs of the job, begun or not."""
-    runs_done: int
-    """Runs that are finished and recorded, also by earlier coordinators."""
-    runs_failed: int
-    """Runs that cannot be carried out."""
-    runs_open: int
-    """Runs in progress."""
-    budget: int
-    """Counted evaluations after which all runs are over."""
-    remaining: int
-    """Counted evaluations that unfinished runs may still take; those that end early take fewer."""
-    waiting: int = 0
-    """Settled rows that are not known to be on disk: how far the recorder is behind."""
-    requeued: int = 0
-    """Batches that were queued again, as their worker was lost, in this coordinator's epoch."""
-    strays: int = 0
-    """Results dropped in this epoch: late, duplicate, unknown, or of another worker's batch."""
-    workers: int
-    """Workers that are there, and make progress."""
-    seconds: float
-    """Since the coordinator started [s]."""
-    rate: float
-    """Counted evaluations since then, replayed ones apart [1/s]."""
-    trouble: str = ""
-    """Cause that keeps the job from going on, in words; empty when nothing does."""
-    state: str = "running"
-    """One of "starting" (no recorder has answered), "running", "paused", "ending", "cancelled"."""
-    recorders: int = 0
-    """Recorders of this job that are there."""
+    job: Annotated[str, Meta(description="Its name.")]
+    runs: Annotated[int, Meta(description="Of the job, begun or not.")]
+    runs_done: Annotated[int, Meta(description="Finished and recorded, also by earlier coordinators.")]
+    runs_failed: Annotated[int, Meta(description="Which cannot be carried out.")]
+    runs_open: Annotated[int, Meta(description="In progress.")]
+    budget: Annotated[int, Meta(description="Counted evaluations after which all runs are over.")]
+    remaining: Annotated[
+        int,
+        Meta(
+            description="Counted evaluations that runs which are not over may still take; "
+            "those that end early take fewer."
+        ),
+    ]
+    waiting: Annotated[
+        int,
+        Meta(description="Settled rows that are not known to be on disk: how far the recorder is behind."),
+    ] = 0
+    requeued: Annotated[
+        int,
+        Meta(
+            description="Batches that were queued again, as their worker was lost, "
+            "in this coordinator's turn."
+        ),
+    ] = 0
+    strays: Annotated[
+        int,
+        Meta(
+            description="Results that were dropped in this turn: "
+            "late, duplicate, unknown, or of somebody else's batch."
+        ),
+    ] = 0
+    workers: Annotated[int, Meta(description="Workers that are there, and make progress.")]
+    seconds: Annotated[float, Meta(description="Since the coordinator started [s].")]
+    rate: Annotated[float, Meta(description="Counted evaluations since then, replayed ones apart [1/s].")]
+    trouble: Annotated[
+        str, Meta(description="What keeps the job from going on, in words; empty when nothing does.")
+    ] = ""
+    state: Annotated[
+        str,
+        Meta(
+            description='"starting" (no recorder has answered yet), "running", "paused", "ending", '
+            'or at last "cancelled".'
+        ),
+    ] = "running"
+    recorders: Annotated[int, Meta(description="Recorders of this job that are there.")] = 0
 
     @property
     def words(self) -> str:
@@ -282,24 +303,19 @@ class JobStatus(RunTotals, frozen=True, kw_only=True):
 class JobMeta(Struct, frozen=True, kw_only=True):
     """Identity of a job and its coordinator. JSON on `meta` when a coordinator's epoch begins."""
 
-    job: str
-    """Its name."""
-    epoch: int
-    """The coordinator's epoch; 0 before it has one: no recorder has answered yet."""
-    since: Annotated[datetime, Meta(tz=True)]
-    """When this coordinator started."""
-    host: str
-    """Host of the coordinator."""
-    pid: int
-    """Id of the coordinator's process."""
-    version: str
-    """Version of qdgrasp."""
-    runs: int
-    """Runs of the job, begun or not."""
-    budget: int
-    """Counted evaluations after which all runs are over."""
-    identity: str = ""
-    """Unique id that tells the job from another one of its name; empty: it is not known."""
+    job: Annotated[str, Meta(description="Its name.")]
+    epoch: Annotated[
+        int, Meta(description="The coordinator's turn; 0 before it has one: no recorder has answered yet.")
+    ]
+    since: Annotated[datetime, Meta(tz=True, description="When this coordinator started.")]
+    host: Annotated[str, Meta(description="The coordinator's.")]
+    pid: Annotated[int, Meta(description="Of the coordinator's process.")]
+    version: Annotated[str, Meta(description="Of qdgrasp.")]
+    runs: Annotated[int, Meta(description="Of the job, begun or not.")]
+    budget: Annotated[int, Meta(description="Counted evaluations after which all runs are over.")]
+    identity: Annotated[
+        str, Meta(description="What tells the job from another one of its name; empty: it is not known.")
+    ] = ""
 
 
 def _share_done(evaluations: int, remaining: int) -> float:

@@ -5,10 +5,10 @@ counts.
 """
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.arrays import take_rows
@@ -49,25 +49,24 @@ class CurveCounts(Protocol):
 class CurvePoint(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
-    evaluations: int
-    """Counted evaluations."""
-    proposals: int
-    """Poses that decoding screened, simulated or not."""
-    successes: int
-    """A finger touches the object after closing."""
-    cells: int
-    """Distinct 1 cm cells with a success."""
-    robust: int
-    """Successes that survived both shakes: fitness 2."""
+    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
+    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
+    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
+    cells: Annotated[int, Meta(description="Distinct 1 cm cells with a success.")]
+    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
 
 
 class GrowthCurve(Struct, frozen=True, kw_only=True):
     """Growth of a run's counts. JSON, the answer to a query on `stat/curve/<run>`."""
 
-    run: str
-    """Its name in its job."""
-    points: list[CurvePoint]
-    """512 at most, evenly spaced generations: evaluations, proposals, successes, cells, robust."""
+    run: Annotated[str, Meta(description="Its name in its job.")]
+    points: Annotated[
+        list[CurvePoint],
+        Meta(
+            description="At most 512, at evenly spaced generations: "
+            "evaluations, proposals, successes, cells, robust."
+        ),
+    ]
 
 
 class CurveRecorder:
@@ -322,28 +321,31 @@ class RunCounter:
 class RunTotals(Struct, frozen=True, kw_only=True):
     """Counts of a run or, summed, of a job; the first part of all structs that show them."""
 
-    evaluations: int
-    """Counted evaluations."""
-    simulated: int
-    """Genomes whose hand closed."""
-    proposals: int
-    """Poses that decoding screened, simulated or not."""
-    overlaps: int
-    """Genomes whose open hand overlapped the object; where a genome has candidates, all of them."""
-    dead_ends: int
-    """Genomes for which there was no pose, or none worth a simulation."""
-    successes: int
-    """A finger touches the object after closing."""
-    grasps: int
-    """Successes that survived a shake: fitness 1 or more."""
-    robust: int
-    """Successes that survived both shakes: fitness 2."""
-    errors: int
-    """Rows on which the simulator failed three times, trials included."""
-    cells: int
-    """Distinct 1 cm cells with a success; of a job their sum over its runs."""
-    trials: int
-    """Rows that are trials of successes; 0 where no protocol has them."""
+    evaluations: Annotated[int, Meta(description="Counted evaluations.")]
+    simulated: Annotated[int, Meta(description="Genomes whose hand closed.")]
+    proposals: Annotated[int, Meta(description="Poses that decoding screened, simulated or not.")]
+    overlaps: Annotated[
+        int,
+        Meta(
+            description="Genomes whose open hand overlapped the object; "
+            "where a genome has candidates, all of them."
+        ),
+    ]
+    dead_ends: Annotated[
+        int, Meta(description="Genomes for which there was no pose, or none worth a simulation.")
+    ]
+    successes: Annotated[int, Meta(description="A finger touches the object after closing.")]
+    grasps: Annotated[int, Meta(description="Successes that survived a shake: fitness 1 or more.")]
+    robust: Annotated[int, Meta(description="Successes that survived both shakes: fitness 2.")]
+    errors: Annotated[
+        int, Meta(description="Rows on which the simulator failed three times, trials included.")
+    ]
+    cells: Annotated[
+        int, Meta(description="Distinct 1 cm cells with a success; of a job their sum over its runs.")
+    ]
+    trials: Annotated[
+        int, Meta(description="Rows that are trials of successes; 0 where no protocol has them.")
+    ]
 
     @property
     def found(self) -> str:

@@ -300,10 +300,9 @@ class RunStore:
         for run in asked.runs:
             ledger = self._find(run.run)
             recorded = ledger.platform if ledger else {}
-            if platform and recorded and platform != recorded:
+            if platform and recorded and (differing := platform_differences(platform, recorded)):
                 raise Refused(
-                    f"run '{run.run}' was recorded on another platform than the job's rows: "
-                    f"{platform_differences(platform, recorded)}"
+                    f"run '{run.run}' was recorded on another platform than the job's rows: {differing}"
                 )
             platform = platform or recorded
         return platform

@@ -179,8 +179,15 @@ def panel_heading(axes: Axes, words: str, *under: str, color: str = INK) -> None
 
 def words_above(axes: Axes, words: str, height: float, **style: Any) -> None:
     """Words above a panel, `height` points over its upper left corner."""
-    axes.annotate(figure_text(words), (0, 1), (0, height), xycoords="axes fraction", textcoords="offset points",
-                  annotation_clip=False, **style)  # fmt: skip
+    axes.annotate(
+        figure_text(words),
+        (0, 1),
+        (0, height),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        annotation_clip=False,
+        **style,
+    )
 
 
 def evaluation_axis(axes: Axes, end: int, *, log: bool) -> None:

@@ -353,9 +353,15 @@ def draw_voxels(shown: Sequence[RunVoxels], method: str) -> FigureGrid:
     columns = min(VOXEL_COLUMNS, len(shown))
     handles = _voxel_legend(shown)
     sheet = FigureGrid(
-        -(-len(shown) // columns), columns, (VOXEL_PANEL_INCHES, VOXEL_PANEL_INCHES), legend_rows=1, below=0.1, aside=0.3, left=0.3,
+        -(-len(shown) // columns),
+        columns,
+        (VOXEL_PANEL_INCHES, VOXEL_PANEL_INCHES),
+        legend_rows=1,
+        below=0.1,
+        aside=0.3,
+        left=0.3,
         least=0.4 + 1.75 * len(handles),
-    )  # fmt: skip
+    )
     for number, one in enumerate(shown):
         axes = sheet.axes(*divmod(number, columns))
         view = view_of_cells(

@@ -126,7 +126,8 @@ def _add(sets: SetsByObject, new: ReferenceSet, where: Path, mixed: bool) -> Non
     grippers = {origin.gripper for origin in (one.origin for one in (*sets.values(), new)) if origin}
     if len(grippers) > 1:
         raise InputError(
-            f"One file holds the sets of one gripper, and these runs are with {_in_words(grippers)} ({where})."
+            "One file holds the sets of one gripper, and these runs are with "
+            f"{_in_words(grippers)} ({where})."
         )
     old = sets.get(new.object)
     sets[new.object] = new if old is None else merge_reference_sets(old, new, where, mixed=mixed)

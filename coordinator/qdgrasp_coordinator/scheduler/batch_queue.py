@@ -259,7 +259,7 @@ class BatchQueue:
         return at_hand[1] if at_hand and at_hand[0] <= least[0] + SCENE_SLACK else least[1]
 
     def pop(self, run: str, workers: int) -> Batch:
-        """Return the next batch of a waiting run: one queued again, or a new one of the oldest generation.
+        """Return the next batch of a waiting run: one queued again, or a new one.
 
         Parameters
         ----------

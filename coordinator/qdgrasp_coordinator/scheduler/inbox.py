@@ -1,4 +1,4 @@
-"""Events of a coordinator in the order they came, and the subscriptions and queries that bring them.
+"""Events of a coordinator in their order, and the subscriptions that bring them.
 
 Callbacks, in threads of the bus, only put events into the inbox; requests wait for the answer of the
 coordinator's one thread.

@@ -230,7 +230,7 @@ class JobScheduler:
             self.events.note("error", words, run=run, worker=wid)
 
     def _on_recorded(self, report: Recorded, now: float) -> None:
-        """Note what is durable; a run whose recorder lost rows is reopened, and these evaluated again."""
+        """Note the durable rows; reopen a run whose recorder lost some."""
         run = self.runs.get(report.run)
         if run is None:
             return
@@ -344,7 +344,7 @@ class JobScheduler:
     # Steps.
 
     def step(self, now: float) -> None:
-        """Do all that is possible now: give workers up, ask, record, lease, let runs end, open others."""
+        """Do all that is possible now: give up workers, ask, record, lease, end and open runs."""
         for lost in self.workers.overdue(now):
             self._on_lost(lost)
         for run in self.runs:

@@ -1,4 +1,4 @@
-"""The workers of a job: their joins and tokens, the batches they hold, lost ones, and their figures.
+"""The workers of a job: joins, tokens, the batches they hold, and their figures.
 
 Rules 1, 3 and 4 of docs/bus.md: credit, join numbers, lost tokens and leases that pass. Time is passed in,
 in seconds of any steady clock.
@@ -343,7 +343,7 @@ class WorkerRegistry:
             worker.speed.count(rows, now)
 
     def idle(self) -> Iterator[Worker]:
-        """Yield the worker to lease to next, as long as one has credit; stuck ones only if none is well."""
+        """Yield the worker to lease to next; stuck ones only if no worker is well."""
         return fewest_batches_first(
             [worker for worker in self._free.values() if not (worker.is_stuck and self._well)]
         )

@@ -171,7 +171,8 @@ class AccessReport:
         inside = sum(knock.got_in for knock in self.knocks)
         return (
             f"{len(self.matrix)} cells measured: {permitted} allowed, {len(self.matrix) - permitted} silent, "
-            f"{wrong} wrong; {len(WIDE_PATTERNS)} wide patterns tried by {len(PROBE_NAMES)} roles, {len(self.wide)} leaks; "
+            f"{wrong} wrong; {len(WIDE_PATTERNS)} wide patterns tried by {len(PROBE_NAMES)} "
+            f"roles, {len(self.wide)} leaks; "
             f"{len(self.knocks)} kinds of strangers, {inside} got in."
         )
 

@@ -28,6 +28,9 @@ from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
+VERSION = "qdgrasp"
+"""The version of this package: recorded and told, not compared. The evaluation has its own digest."""
+
 
 class PlatformDiffers(Refused):
     """A worker's platform is not the one that the job's rows come from."""
@@ -38,10 +41,12 @@ class PlatformDiffers(Refused):
 
 def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> str:
     """Describe the entries in which another platform differs from the job's."""
+    differing = [name for name in sorted({*job, *other}) if job.get(name) != other.get(name)]
+    if differing == [VERSION]:
+        return ""
     return ", ".join(
         f"{name} {other.get(name, 'absent')[:24]} instead of {job.get(name, 'absent')[:24]}"
-        for name in sorted({*job, *other})
-        if job.get(name) != other.get(name)
+        for name in differing
     )
 
 
@@ -53,9 +58,9 @@ def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[st
     PlatformDiffers
         Another platform was there first; what differs is named.
     """
-    if job and dict(job) != dict(worker):
+    if job and platform_differences(job, worker):
         raise PlatformDiffers(job, worker)
-    return dict(worker)
+    return dict(job or worker)
 
 
 def journal_digest(journal: Journal) -> str:

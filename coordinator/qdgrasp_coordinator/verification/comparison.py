@@ -160,6 +160,6 @@ def platform_words(recorded: Mapping[str, str], now: Mapping[str, str]) -> str:
     """Describe how two platforms differ, in a sentence."""
     if not recorded:
         return PLATFORM_UNKNOWN
-    if dict(recorded) == dict(now):
+    if not (differing := run_folder.platform_differences(recorded, now)):
         return PLATFORM_SAME
-    return f"It was recorded on another platform; here is {run_folder.platform_differences(recorded, now)}."
+    return f"It was recorded on another platform; here is {differing}."

@@ -76,8 +76,9 @@ def test_the_palm_of_the_panda_and_how_far_it_reaches_are_those_of_the_paper():
 
 def test_the_spreads_of_the_barrett_are_guessed_to_be_genes():
     known, found = (
-        find_gripper("barrett").file, draft_gripper(find_gripper("barrett").robot, "barrett.urdf", DraftOverrides()).file
-    )  # fmt: skip
+        find_gripper("barrett").file,
+        draft_gripper(find_gripper("barrett").robot, "barrett.urdf", DraftOverrides()).file,
+    )
     assert set(found.free_joints) == set(known.free_joints)
     assert not any(found.joints[name].driven for name in found.free_joints)
 

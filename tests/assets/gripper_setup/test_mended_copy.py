@@ -43,15 +43,23 @@ def test_a_hand_that_needs_no_mending_is_left_as_it_is(jaw_urdf):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        (f'<inertial><mass value="0.5"/>{example_hands.INERTIA}</inertial>', "", "the link 'palm' is given a mass,"),
+        (
+            f'<inertial><mass value="0.5"/>{example_hands.INERTIA}</inertial>',
+            "",
+            "the link 'palm' is given a mass,",
+        ),
         ('mass value="0.1"', 'mass value="0"', "the links 'left', 'right' are given a mass"),
-        (f'<mass value="0.1"/>{example_hands.INERTIA}', '<mass value="0.1"/>', "the links 'left', 'right' are given"),
+        (
+            f'<mass value="0.1"/>{example_hands.INERTIA}',
+            '<mass value="0.1"/>',
+            "the links 'left', 'right' are given",
+        ),
         ('lower="-0.04" upper="0"', 'lower="0" upper="-0.04"', "limited the right way round"),
         ("</robot>", EYE, "the joint 'j' is fixed, as no motor drives what floats"),
         (FINGER, FINGER.replace("collision", "visual"), "the links 'left', 'right' are given the visual"),
         ("</robot>", "</robot>", ""),
     ],
-)  # fmt: skip
+)
 def test_what_can_be_mended_is_and_is_told(jaw_urdf, edit, old, new, sentence):
     edit(jaw_urdf, old, new)
     assert any(sentence in change for change in mended(jaw_urdf).changes) or not sentence

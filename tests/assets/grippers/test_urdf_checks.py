@@ -55,7 +55,11 @@ def faults(toml):
         ('mass value="0.1"', 'mass value="-1"', "are of a negative mass: give it in kg"),
         ('mass value="0.1"', 'mass value="100 g"', "are of a mass that is no number: give it in kg"),
         ('mass value="0.5"', 'mass value="500"', "it weighs 500.2 kg, which looks like grams"),
-        (f'<inertial><mass value="0.5"/>{example_hands.INERTIA}</inertial>', "", "'palm' is without <inertial>, for"),
+        (
+            f'<inertial><mass value="0.5"/>{example_hands.INERTIA}</inertial>',
+            "",
+            "'palm' is without <inertial>, for",
+        ),
         ('<mass value="0.1"/>', "", "with an <inertial> that lacks <mass> or <inertia>, which the simulator"),
         (f'<mass value="0.1"/>{example_hands.INERTIA}', '<mass value="0.1"/>', "lacks <mass> or <inertia>"),
         (BOX, '<mesh filename="pad.stl"/>', "the mesh 'pad.stl' of the links 'left', 'right' does not"),
@@ -65,7 +69,7 @@ def faults(toml):
         (BOX, '<sphere radius="big"/>', "of the size 'big': it takes radius, 1 in all, greater than 0"),
         (f"<geometry>{BOX}</geometry>", "", "has no shape in its <geometry>"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_a_urdf_is_one_sentence(jaw_toml, jaw_urdf, edit, old, new, sentence):
     edit(jaw_urdf, old, new)
     assert any(sentence in fault for fault in faults(jaw_toml))

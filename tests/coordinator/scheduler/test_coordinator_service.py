@@ -17,19 +17,18 @@ from tests.coordinator.scheduler.fakes import (
     OtherPlatformSink,
     ReplacedSink,
     SlowSink,
+    job_view,
+    send_command,
     until,
 )
 from tests.coordinator.scheduler.leases import ANN, BOB
 from tests.coordinator.scheduler.search_plans import Plan, reference
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
-from qdgrasp_coordinator.monitor.feed import reachable_jobs
-from qdgrasp_coordinator.monitor.job_view import JobView
-from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol import bundle_transfer
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import Cancelled, InputError, Refused, RunsFailed, TookOver
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.rows import Outcome
 
 
@@ -151,18 +150,6 @@ def test_what_a_finished_run_held_is_let_go() -> None:
 # Commands of administrators, and jobs that end early.
 
 LONG = Plan(population=50, evaluations=5000)
-
-
-def send_command(bus: Bus, act: str, **whom: str) -> str:
-    order = Order(act=act, **whom)  # type: ignore[arg-type]
-    return messages.decode(
-        bus.ask(Keys(JOB).control, messages.encode(order), timeout=PATIENCE), OrderReply
-    ).words
-
-
-def job_view(bus: Bus) -> JobView:
-    (view,) = reachable_jobs(bus)
-    return view
 
 
 @contextmanager

@@ -204,7 +204,7 @@ def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:
 
 
 class Deaf(MemoryBus):
-    """A session whose questions are lost, or find nobody; it keeps how long each might have waited."""
+    """A session whose questions are lost or unanswered; it keeps their timeouts."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, is_lost: bool) -> None:
         super().__init__(MemoryNetwork())

@@ -63,7 +63,7 @@ N = 9
 
 
 class Heard:
-    """What was compared."""
+    """The compared rows."""
 
     def __init__(self) -> None:
         self.places: list[int] = []
@@ -92,7 +92,7 @@ def heard() -> Heard:
 
 
 def evaluated(repetition: ReevaluationPlan) -> Rows:
-    """What a worker makes of what is asked."""
+    """Return the asked rows as a worker evaluates them."""
     asked = repetition.ask()
     assert asked is not None
     rows = SHAPE.empty(len(asked.indices))
@@ -157,7 +157,7 @@ MOST_INSTRUCTIONS = 100
 
 @contextmanager
 def before_instruction(number: int, function: Callable, act: Callable[[], None]) -> Iterator[None]:
-    """Act once before that instruction of a function, as another thread may at every one of them."""
+    """Act once before that instruction of a function, as another thread may."""
     left = number
 
     def traced(frame: FrameType, event: str, _: object) -> object:

@@ -1,4 +1,4 @@
-"""A run that is opened: what is recorded is replayed, and what its spec does not allow is refused."""
+"""Runs of a job are opened, replayed, put back and removed."""
 
 from collections.abc import Callable
 from queue import SimpleQueue

@@ -1,4 +1,4 @@
-"""The workers of a job: the registry's indexes agree with a pass over all workers, and rates are recent."""
+"""The workers of a job: indexes agree with a pass over all workers; rates are recent."""
 
 import copy
 import random

@@ -112,7 +112,8 @@ def count_lines(view: JobView, width: int, glyphs: Glyphs) -> Lines:
     successes = counted(one.successes, "success", "successes", count_text)
     runs = f"{one.runs_done} of {one.runs} runs{glyphs.between}" if one.runs > 1 else ""
     lines = [
-        f"{runs}{count_text(one.evaluations)} of {counted(one.budget, 'evaluation', told=count_text)}{glyphs.between}"
+        f"{runs}{count_text(one.evaluations)} of "
+        f"{counted(one.budget, 'evaluation', told=count_text)}{glyphs.between}"
         f"{short_count(current_speed(view.history))}/s lately, {short_count(one.rate)}/s so far",
         glyphs.between.join((
             f"{successes} ({percent_text(one.successes, one.evaluations)})",
@@ -236,7 +237,8 @@ def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
     one = view.figures
     words = {
         "gone": f"its coordinator is gone since {span_text(view.silent)}: `qdgrasp resume DIR` goes on",
-        "silent": f"nothing was heard of it for {span_text(view.silent)}: what is shown is what was heard last",
+        "silent": f"nothing was heard of it for {span_text(view.silent)}: what is shown is "
+        "what was heard last",
         "ended": "it has ended",
         "cancelled": "it was ended before it was done: `qdgrasp resume DIR` goes on",
         "paused": f"paused until `qdgrasp continue {view.job}`",

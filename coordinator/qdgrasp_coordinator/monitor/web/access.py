@@ -33,7 +33,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Headers of every answer: nothing comes from elsewhere, and nothing elsewhere holds this page."""
-TOKEN_PAGE = """<!doctype html>
+LOGIN_PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>qdgrasp: token</title><link rel="stylesheet" href="/static/style.css">
 <body class="door"><main><h1>qdgrasp</h1><form method="get" action="/">
@@ -100,7 +100,7 @@ class Access:
         headers = {"WWW-Authenticate": "Bearer", "Cache-Control": "no-store"}
         asks = "text/html" in request.headers.get("accept", "") and request.url.path == "/"
         kind = "text/html" if asks else "text/plain"
-        return Response(TOKEN_PAGE if asks else "A token is needed.\n", 401, headers, kind)
+        return Response(LOGIN_PAGE if asks else "A token is needed.\n", 401, headers, kind)
 
     def _is_shown(self, shown: Iterable[str]) -> bool:
         """Whether the token is among what was shown; how long this takes says nothing about it."""

@@ -143,7 +143,7 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
 
 
 def grasp_view(find: np.void, hand: HandGeometry, stage: BrowserScene, commands: Sequence[str]) -> GraspView:
-    """A find (a record of `storage.success_pages`) on a stage, with the hand in its posture, and what shows it."""
+    """A success (a record of `storage.success_pages`) with the hand in its posture."""
     pose, joints = find["base_to_object"].astype(float), find["joints"].astype(float)
     frames = hand.frames(pose, joints)
     names = [joint.name for joint in hand.gripper.joints]

@@ -84,13 +84,25 @@ def test_what_keeps_a_job_from_going_on_is_said(state: str, later: float, expect
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (count_text(1_234_567.4), "1 234 567"), (short_count(0), "0"), (short_count(0.84), "0.8"), (short_count(41_234), "41.2k"),
-        (short_count(9_876), "9876"), (short_count(1.2e6), "1.2M"), (percent_text(0, 0), "0 %"), (percent_text(1, 1000), "<1 %"),
+        (count_text(1_234_567.4), "1 234 567"),
+        (short_count(0), "0"),
+        (short_count(0.84), "0.8"),
+        (short_count(41_234), "41.2k"),
+        (short_count(9_876), "9876"),
+        (short_count(1.2e6), "1.2M"),
+        (percent_text(0, 0), "0 %"),
+        (percent_text(1, 1000), "<1 %"),
         (percent_text(62, 100), "62 %"),
-        (span_text(4.2), "4 s"), (span_text(59.7), "1:00"), (span_text(725), "12:05"), (span_text(11_520), "3:12 h"),
-        (span_text(216_000), "2.5 d"), (size_text(0), "0 B"), (size_text(310e6), "310 MB"), (size_text(1.5e9), "1.5 GB"),
+        (span_text(4.2), "4 s"),
+        (span_text(59.7), "1:00"),
+        (span_text(725), "12:05"),
+        (span_text(11_520), "3:12 h"),
+        (span_text(216_000), "2.5 d"),
+        (size_text(0), "0 B"),
+        (size_text(310e6), "310 MB"),
+        (size_text(1.5e9), "1.5 GB"),
     ],
-)  # fmt: skip
+)
 def test_figures_are_said_in_a_few_characters(words: str, expected: str) -> None:
     assert words == expected
 

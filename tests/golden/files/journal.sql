@@ -1,0 +1,36 @@
+PRAGMA application_id = 1902405490;
+PRAGMA user_version = 1;
+PRAGMA page_size = 4096;
+PRAGMA journal_mode = wal;
+CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;
+CREATE TABLE turns (
+    epoch INTEGER PRIMARY KEY, -- a coordinator's turn at the run
+    opened REAL NOT NULL,      -- when it opened the run [s since 1970]
+    last REAL NOT NULL         -- the last commit of its rows
+) STRICT;
+CREATE TABLE blocks (
+    first INTEGER PRIMARY KEY, -- number of the block's first row
+    n INTEGER NOT NULL,
+    epoch INTEGER NOT NULL,
+    cpu_seconds REAL NOT NULL, -- what the rows cost on their workers
+    crc INTEGER NOT NULL,      -- crc32 of rows
+    rows BLOB NOT NULL         -- packed rows, little-endian, the dtype of rows.Shape
+) STRICT;
+CREATE TABLE successes (       -- every success ever found, fitness 0 included
+    row INTEGER PRIMARY KEY,
+    generation INTEGER NOT NULL, "index" INTEGER NOT NULL, trial INTEGER NOT NULL,
+    outcome INTEGER NOT NULL, fitness REAL NOT NULL,
+    x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,                        -- base_to_object [m]
+    qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL,
+    cell_x INTEGER NOT NULL, cell_y INTEGER NOT NULL, cell_z INTEGER NOT NULL, -- of the descriptor, 1 cm
+    nu REAL NOT NULL, contacts INTEGER NOT NULL, penetration REAL NOT NULL
+) STRICT;
+CREATE INDEX successes_by_cell ON successes (cell_x, cell_y, cell_z, fitness);
+CREATE INDEX successes_by_fitness ON successes (fitness);
+CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
+-- meta: created
+-- meta: package
+-- meta: run
+-- meta: scene
+-- meta: shape
+-- meta: spec

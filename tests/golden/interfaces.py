@@ -1,0 +1,117 @@
+"""What a person and a program meet: the help of commands, exit codes, and the names of the package."""
+
+import enum
+import inspect
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import typer
+
+import qdgrasp
+from qdgrasp_coordinator.cli import (
+    coordinator_process,
+    main,
+    monitor_process,
+    recorder_process,
+    router_process,
+)
+from qdgrasp_protocol.errors import Cancelled, EndedEarly, InputError, QdgraspError, TookOver
+from qdgrasp_worker import cli as worker
+
+COLUMNS = 100
+APPS = {
+    "qdgrasp": main.app,
+    "qdgrasp-coordinator": coordinator_process.app,
+    "qdgrasp-monitor": monitor_process.app,
+    "qdgrasp-recorder": recorder_process.app,
+    "qdgrasp-router": router_process.app,
+    "qdgrasp-worker": worker.app,
+}
+FAMILY = {
+    "anything that we refuse or that fails": QdgraspError,
+    "bad input or environment": InputError,
+    "the job stopped before its budget": EndedEarly,
+    "somebody told the coordinator to end": Cancelled,
+    "another coordinator goes on": TookOver,
+}
+"""Errors with an exit code of their own, by what they stand for (README.md)."""
+LINES = (
+    "",
+    "--version",
+    "nonsense",
+    "info --nonsense",
+    "info nowhere",
+    "run --gripper claw --object mug",
+    "run --gripper panda --object mug --method antipodal",
+    "run --gripper panda --object mug --evaluations 0",
+)
+"""Command lines that end at once."""
+
+
+def help_text() -> str:
+    """What `--help` prints, of every command and its subcommands, on a screen of so many columns."""
+    pages = (page for name, app in APPS.items() for page in _pages(typer.main.get_command(app), name))
+    return "\n\n".join(pages) + "\n"
+
+
+def exit_code_text() -> str:
+    """The exit codes of what may happen, and what some command lines say on standard error as they end."""
+    codes = "".join(f"{error.exit_code}  {words}\n" for words, error in FAMILY.items())
+    with ThreadPoolExecutor(2) as together:
+        return codes + "".join(together.map(_ended, LINES))
+
+
+def name_text() -> str:
+    """The names of `qdgrasp` with the arguments that they take, and the members of its classes.
+
+    Names of arguments, whether they are named, and defaults: types are what mypy looks at.
+    """
+    lines = (line for name in dir(qdgrasp) if name != "__version__" for line in _told(name))
+    return "\n".join(lines) + "\n"
+
+
+def _pages(command: Any, name: str, parent: Any = None) -> Iterator[str]:
+    size = {"terminal_width": COLUMNS, "max_content_width": COLUMNS}
+    context = command.context_class(command, info_name=name, parent=parent, **size)
+    yield f"$ {context.command_path} --help\n{command.get_help(context)}"
+    for below, subcommand in sorted(getattr(command, "commands", {}).items()):
+        yield from _pages(subcommand, below, context)
+
+
+def _ended(line: str) -> str:
+    command = [sys.executable, "-m", "qdgrasp", *line.split()]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("QDGRASP_")}
+    ended = subprocess.run(
+        command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+    said = "".join(f"   {words}\n" for words in ended.stderr.splitlines())
+    return f"{ended.returncode}  $ qdgrasp {line}".rstrip() + f"\n{said if line else ''}"
+
+
+def _told(name: str) -> Iterator[str]:
+    found = getattr(qdgrasp, name)
+    yield f"{name}{_arguments(found)}"
+    members = vars(found) if inspect.isclass(found) and not issubclass(found, BaseException) else {}
+    for member, value in sorted(members.items()):
+        if isinstance(value, enum.Enum):
+            yield f"    {member} = {value.value}"
+        elif not member.startswith("_") and (callable(value) or isinstance(value, property)):
+            yield f"    {member}{_arguments(value)}"
+
+
+def _arguments(found: Any) -> str:
+    """What is called with what; a default that is one of our values stands without its class."""
+    if not inspect.isroutine(found) and not inspect.isclass(found):
+        return ""
+    if inspect.isclass(found) and issubclass(found, BaseException | enum.Enum):
+        return f"  exit code {found.exit_code}" if issubclass(found, QdgraspError) else ""
+    bare = [
+        parameter.replace(annotation=parameter.empty)
+        for parameter in inspect.signature(found).parameters.values()
+    ]
+    return re.sub(r"=\w+\(", "=(", str(inspect.Signature(bare)))

@@ -1,0 +1,86 @@
+"""Small runs from beginning to end: their digests, and the platform that these hold on.
+
+A campaign of every kind of search, with four hands and the three protocols, and a reranking of one of its
+runs. Everything is built in, so that a fresh clone has it.
+"""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import tomli_w
+from tests.common import own_endpoint
+
+import qdgrasp
+from qdgrasp_worker.platform import probe_digest
+
+HERE = Path(__file__).parent
+CAMPAIGN = HERE / "campaign.toml"
+RECORDED = HERE / "recorded_0_1_0"
+"""Folders that version 0.1.0 wrote: a run that is `finished`, the same one `begun`, and `pruned`."""
+DIGESTS = HERE / "files" / "digests.toml"
+RERANKED = "panda-tennis_ball-antipodal_me_scs-s0-population20"
+"""The run of the campaign whose best grasps are scored again."""
+EXTENDED = 90
+"""The budget to which the recorded run is extended."""
+PACKAGES = ("pybullet", "numpy", "scipy", "ribs")
+
+
+def platform() -> dict[str, str]:
+    """What digests depend on besides this package: they are the same on one platform."""
+    return {name: version(name) for name in PACKAGES} | {"machine": os.uname().machine}
+
+
+def golden() -> dict[str, Any]:
+    """The golden digests, and the platform on which they were made."""
+    return tomllib.loads(DIGESTS.read_text(encoding="utf-8"))
+
+
+def digest_text() -> str:
+    """The platform with the digest of its probes, and the digest and the scene of every run."""
+    with TemporaryDirectory() as folder:
+        runs = digests(Path(folder))
+    return tomli_w.dumps({"platform": platform(), "probes": probe_digest(), "runs": runs})
+
+
+def digests(home: Path) -> dict[str, dict[str, str]]:
+    """The digests of all runs by name: the campaign's, the reranking, the recording as it is and extended."""
+    carry_out(home, "campaign", CAMPAIGN, "--out", "campaign")
+    carry_out(home, "rerank", f"campaign/runs/{RERANKED}", "--top", 2, "--out", "reranked")
+    for name in ("finished", "extended"):
+        shutil.copytree(RECORDED / "finished", home / name)
+    carry_out(home, "resume", "extended", "--evaluations", EXTENDED)
+    alone = [home / name for name in ("reranked", "finished", "extended")]
+    folders = [*sorted((home / "campaign" / "runs").iterdir()), *alone]
+    return {folder.name: {"digest": digest(folder), "scene": scene(folder)} for folder in folders}
+
+
+def digest(folder: Path) -> str:
+    """What `qdgrasp digest` prints: the sha256 over the rows of the journal in order."""
+    return hashlib.sha256(qdgrasp.open(folder).rows().tobytes()).hexdigest()
+
+
+def scene(folder: Path) -> str:
+    """The sha256 of the scene, which says how the hand and the object were read."""
+    return hashlib.sha256((folder / "scene.bundle").read_bytes()).hexdigest()
+
+
+def carry_out(home: Path, *words: object) -> str:
+    """Run a command that evaluates, with two workers, on a port of its own; gives what it prints."""
+    return command(home, *words, "--workers", 2, "--listen", own_endpoint())
+
+
+def command(home: Path, *words: object) -> str:
+    """Run a command in a folder; gives what it prints."""
+    line = [sys.executable, "-m", "qdgrasp", *map(str, words)]
+    environment = os.environ | {"QDGRASP_CACHE": str(home / "cache")}
+    ended = subprocess.run(line, cwd=home, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout

@@ -1,0 +1,267 @@
+"""The digest of code by its syntax: of what it does, not of where it stands and what it is called.
+
+1. Counted are the functions, classes and constants of this package that the entries reach by name, in
+   whatever modules they stand.
+2. Each counts as its syntax tree without docstrings, without the types of arguments, results and variables,
+   and without what errors say. In the place of a name that this package defines stands the digest of its
+   definition; in the place of any other imported name stands what it names, such as `numpy.sin`.
+3. The digest is the sha256 over all of them, sorted.
+
+So definitions may move between modules and be called otherwise, while each change of what they compute
+counts. Names of fields, methods, arguments and variables count too: what they refer to is not known.
+"""
+
+import ast
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+OURS = "qdgrasp"  # How the names of this package's modules begin
+REFERENCE = re.compile(r"<([\w.]+):(\w+)>")  # How a definition refers to another one until that has a digest
+
+
+class Key(NamedTuple):
+    """Which definition it is."""
+
+    module: str
+    name: str
+
+
+class Module(NamedTuple):
+    """A module as it is written."""
+
+    definitions: Mapping[str, list[tuple[int, ast.stmt]]]
+    """The statements that define each of its names, and which of several names in a statement it is."""
+    imports: Mapping[str, str]
+    """What each imported name stands for, in full, such as `numpy.typing.NDArray`."""
+    others: list[ast.stmt]
+    """Statements that define nothing: they are not counted."""
+
+
+class Definition(NamedTuple):
+    """A definition without what does not count."""
+
+    text: str
+    """Its tree, in which others stand as in `REFERENCE`."""
+    unknown: frozenset[str]
+    """Names in it that are neither defined nor imported: those that Python itself has."""
+
+    @property
+    def references(self) -> Iterator[Key]:
+        """The definitions that it refers to."""
+        return (Key(*found) for found in REFERENCE.findall(self.text))
+
+
+def syntax_digest(*entries: Callable[..., object]) -> str:
+    """The sha256 over the classes and functions given, and over all that they reach, 64 hex digits."""
+    return _sha256("".join(sorted(digests(reached(*entries)).values())))
+
+
+def reached(*entries: Callable[..., object]) -> dict[Key, Definition]:
+    """The definitions that these classes and functions reach by name, themselves among them."""
+    found: dict[Key, Definition] = {}
+    waiting = [Key(entry.__module__, entry.__qualname__) for entry in entries]
+    while waiting:
+        key = waiting.pop()
+        if key not in found:
+            found[key] = _definition(key)
+            waiting += found[key].references
+    return found
+
+
+def digests(definitions: Mapping[Key, Definition]) -> dict[Key, str]:
+    """A digest of each definition, in which those of all that it refers to are contained.
+
+    Definitions may refer to each other in a circle. So all begin alike, and those of one round are made of
+    those of the round before, until a further round tells no more of them apart.
+    """
+    found, kinds = dict.fromkeys(definitions, ""), 0
+    while len(set(found.values())) > kinds:
+        kinds, before = len(set(found.values())), found
+        found = {
+            key: _sha256(REFERENCE.sub(lambda match: before[Key(*match.groups())], one.text))  # noqa: B023
+            for key, one in definitions.items()
+        }
+    return found
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def read(name: str) -> Module:
+    """The module of that name, in this package."""
+    spec = find_spec(name)
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError(name)
+    tree = ast.parse(Path(spec.origin).read_bytes())
+    definitions: dict[str, list[tuple[int, ast.stmt]]] = {}
+    others = []
+    for statement in tree.body:
+        names = list(_defined(statement))
+        for place, each in enumerate(names):
+            definitions.setdefault(each, []).append((place, statement))
+        if not names:
+            others.append(statement)
+    return Module(definitions, dict(_imported(tree)), others)
+
+
+def _defined(statement: ast.stmt) -> Iterator[str]:
+    """The names that a statement of a module defines."""
+    match statement:
+        case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+            yield name
+        case ast.Assign() | ast.AnnAssign():
+            yield from _stored(statement)
+
+
+def _stored(tree: ast.AST) -> Iterator[str]:
+    """The names that are given a value somewhere in a tree."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name, ctx=ast.Store() | ast.Del()) | ast.arg(arg=name):
+                yield name
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                yield name
+            case (
+                ast.ExceptHandler(name=str(name))
+                | ast.MatchAs(name=str(name))
+                | ast.MatchStar(name=str(name))
+            ):
+                yield name
+
+
+def _imported(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """The names that a module imports, wherever it does, and what they stand for."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import(names=names):
+                yield from ((one.asname, one.name) for one in names if one.asname)
+                yield from (
+                    (root, root) for one in names if not one.asname for root in [one.name.split(".")[0]]
+                )
+            case ast.ImportFrom(module=str(module), names=names):
+                yield from ((one.asname or one.name, f"{module}.{one.name}") for one in names)
+
+
+def _meant(module: str, name: str) -> Key | str | None:
+    """What a name in a module stands for: a definition of ours, or something else in full; None: unknown."""
+    written = read(module)
+    if name in written.definitions:
+        return Key(module, name)
+    if (full := written.imports.get(name)) is None:
+        return None
+    home, _, there = full.rpartition(".")
+    if not home.startswith(OURS):
+        return full
+    return _meant(home, there) or full  # a module of ours where it is no name in one
+
+
+def _definition(key: Key) -> Definition:
+    """A definition as it counts."""
+    texts, unknown = [], set[str]()
+    for place, statement in read(key.module).definitions[key.name]:
+        text, strange = _counted(key.module, statement)
+        texts.append(f"{place} {text}")
+        unknown |= strange
+    return Definition("\n".join(texts), frozenset(unknown))
+
+
+@cache
+def _counted(module: str, statement: ast.stmt) -> tuple[str, set[str]]:
+    """What counts of a statement, which is taken to pieces, and the names in it that are unknown."""
+    reader = _Reader(module)
+    tree = reader.visit(statement)
+    if isinstance(tree, ast.FunctionDef | ast.ClassDef):
+        tree.name = ""
+    return ast.dump(tree), reader.unknown
+
+
+class _Reader(ast.NodeTransformer):
+    """Leaves what counts of a module's statements."""
+
+    def __init__(self, module: str) -> None:
+        self.unknown: set[str] = set()
+        self._module = module
+        self._local: list[set[str]] = []
+        self._in_class = False
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
+        """The types of a class's fields count: they say what is read into them."""
+        outside, self._in_class = self._in_class, True
+        self.generic_visit(node)
+        self._in_class = outside
+        return node
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        """What a function calls its own hides what the module calls so."""
+        node.returns = None
+        node.decorator_list = [self.visit(one) for one in node.decorator_list]
+        outside, self._in_class = self._in_class, False
+        self._local.append({name for part in (node.args, *node.body) for name in _stored(part)})
+        node.args = self.visit(node.args)
+        node.body = [visited for one in node.body if (visited := self.visit(one))]
+        self._local.pop()
+        self._in_class = outside
+        return node
+
+    def visit_Lambda(self, node: ast.Lambda) -> ast.AST:
+        """As with a function."""
+        self._local.append(set(_stored(node)))
+        self.generic_visit(node)
+        self._local.pop()
+        return node
+
+    def visit_arg(self, node: ast.arg) -> ast.AST:
+        """Its type does not count."""
+        node.annotation = None
+        return node
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
+        """A type counts where it is that of a field."""
+        if not self._in_class:
+            node.annotation = ast.Constant(None)
+        return self.generic_visit(node)
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
+        """Text that stands alone describes something."""
+        is_text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return None if is_text else self.generic_visit(node)
+
+    def visit_Raise(self, node: ast.Raise) -> ast.AST:
+        """Which error it is, and what it says, is no result."""
+        return ast.Raise()
+
+    def visit_Import(self, node: ast.Import) -> None:
+        """It counts where it is used."""
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
+        """It counts where it is used."""
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        """A name in a module of ours is a definition."""
+        if isinstance(node.value, ast.Name) and not self._is_local(node.value.id):
+            module = _meant(self._module, node.value.id)
+            if isinstance(module, str) and module.startswith(OURS):
+                return self._named(_meant(module, node.attr), node.attr)
+        return self.generic_visit(node)
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        """What it stands for is put in its place, but for what a function or a class calls its own."""
+        is_field = self._in_class and isinstance(node.ctx, ast.Store)
+        if is_field or self._is_local(node.id):
+            return node
+        return self._named(_meant(self._module, node.id), node.id)
+
+    def _named(self, meant: Key | str | None, name: str) -> ast.AST:
+        if meant is None:
+            self.unknown.add(name)
+        return ast.Name(f"<{meant.module}:{meant.name}>" if isinstance(meant, Key) else meant or name)
+
+    def _is_local(self, name: str) -> bool:
+        return any(name in names for names in self._local)
