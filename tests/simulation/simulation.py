@@ -113,7 +113,7 @@ class Simulation:
         return [p for p in self.processes if isinstance(p, kind) and not (living and p.is_over)]
 
     def some(self, kind: type[P]) -> P | None:
-        """Return any running process of a kind; None: there is none."""
+        """Return any running process of a kind, or None."""
         running = [process for process in self.of(kind) if process.is_running]
         return self.world.chance.choice(running) if running else None
 
