@@ -172,11 +172,10 @@ def _withdraw_half(withdraw: Any) -> Any:
 # Pipeline, outbox, recorder.
 
 
-def _arrived_with_gaps(slot: GenerationBuffer) -> Any:
-    indices, trials = slot._next(4096)
-    here = slot._here[indices, trials]
-    n = int(here.sum())
-    return slot._rows[indices[here], trials[here]][:n]
+def _ready_with_gaps(buffer: GenerationBuffer) -> Any:
+    indices, trials = buffer._next(4096)
+    is_present = buffer._is_present[indices, trials]
+    return buffer._rows[indices[is_present], trials[is_present]]
 
 
 def _replay_without_last(replay: Any) -> Any:
@@ -267,7 +266,7 @@ MUTATIONS = [
         "tell out of order",
         "7",
         ("told in order",),
-        lambda: [patch.object(GenerationBuffer, "arrived", _arrived_with_gaps)],
+        lambda: [patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps)],
     ),
     Mutation(
         "take rows of an older epoch",

@@ -144,13 +144,7 @@ _MEMORY = 0.9
 
 
 class BatchSizer:
-    """The size of one run's batches.
-
-    Parameters
-    ----------
-    fixed
-        Rows in a batch; None: measured.
-    """
+    """Size of one run's batches: `fixed` rows; None: measured."""
 
     def __init__(self, fixed: int | None = None) -> None:
         self._fixed = fixed
@@ -170,15 +164,8 @@ class BatchSizer:
     def next_size(self, remaining: int, workers: int, runs: int = 1) -> int:
         """Return the number of rows of the next batch.
 
-        Parameters
-        ----------
-        remaining
-            Rows of the generation that are not leased; at least 1.
-        workers
-            Workers that share these and as many rows of the other runs: none is to get more than its part of
-            half of them, so that all of them are done at about the same time.
-        runs
-            How many runs are under way; at least 1.
+        The workers share the `remaining` rows of the generation, and as many of the other `runs` under way.
+        Each gets at most its part of half of them, so that all are done at about the same time.
         """
         if self._fixed is not None:
             return min(self._fixed, remaining)
@@ -205,13 +192,7 @@ SCENE_SLACK = 5.0  # CPU seconds that a run may be ahead of others on workers th
 
 
 class BatchQueue:
-    """Cuts rows into batches, and takes batches back that are to be leased again.
-
-    Parameters
-    ----------
-    batch_size
-        Rows in a batch; None: measured.
-    """
+    """Cuts rows into batches, and takes batches back that are to be leased again."""
 
     def __init__(self, batch_size: int | None) -> None:
         self._prefix = secrets.token_bytes(8)
@@ -241,13 +222,7 @@ class BatchQueue:
         self._runs.pop(run, None)
 
     def next_run(self, scenes: Collection[str]) -> str | None:
-        """Return the run served least, or within the slack one with a held scene; None: no rows.
-
-        Parameters
-        ----------
-        scenes
-            Those that the worker holds.
-        """
+        """Return the run served least, or within the slack one whose scene is held; None: no rows."""
         least = at_hand = None
         for run, waiting in self._runs.items():
             if waiting and (least is None or waiting.served < least[0]):
@@ -259,13 +234,7 @@ class BatchQueue:
         return at_hand[1] if at_hand and at_hand[0] <= least[0] + SCENE_SLACK else least[1]
 
     def pop(self, run: str, workers: int) -> Batch:
-        """Return the next batch of a waiting run: one queued again, or a new one.
-
-        Parameters
-        ----------
-        workers
-            Workers that share the runs.
-        """
+        """Return the next batch of a waiting run: one queued again, or a new one."""
         waiting = self._runs[run]
         if waiting.again:
             batch = waiting.again.pop(next(iter(waiting.again)))

@@ -87,20 +87,10 @@ class CoordinatorService:
     def run(self, on_step: Callable[[float], None] = lambda _now: None) -> None:
         """Carry all runs out until they are finished and recorded, or until asked to stop.
 
-        Parameters
-        ----------
-        on_step
-            Called with the time at every step.
-
-        Raises
-        ------
-        TookOver
-            Another coordinator goes on with the job.
-        Cancelled
-            The job was cancelled.
-        RunsFailed
-            Runs could not be carried out: a scene that cannot be built, a recorder that holds another run, a
-            journal that is not what its spec replays to. The others are.
+        `on_step` is called with the time at every step. Raises TookOver if another coordinator goes on with
+        the job, Cancelled if the job was cancelled, and RunsFailed if runs could not be carried out, while
+        the others were: a scene that cannot be built, a recorder that holds another run, a journal that is
+        not what its spec replays to.
         """
         self._stop.tell(lambda: self._inbox.put(Wake()))
         scheduler, runs = self.scheduler, self._runs

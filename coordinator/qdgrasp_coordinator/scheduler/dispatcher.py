@@ -73,13 +73,7 @@ class BatchTable:
             self._settled.popitem(last=False)
 
     def classify(self, wid: str, result: Result) -> Settlement:
-        """Return the kind of a result on a worker's key.
-
-        Raises
-        ------
-        MessageError
-            It would be fresh, but does not fit its batch.
-        """
+        """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
         state = self._open.get(result.batch)
         leased, winner = (state.leased, None) if state else self._settled.get(result.batch, (None, None))
         if result.epoch != self._epoch or (leased is not None and wid not in leased):
@@ -169,11 +163,7 @@ class Dispatcher:
         """Admit a worker, or admit it again; returns the batches that it is to drop.
 
         What it was leased and does not hold is queued again. A join older than the latest changes nothing.
-
-        Raises
-        ------
-        Refused
-            It is not admitted, and why.
+        Raises Refused if it is not admitted.
         """
         before = self._workers.join(join, now)
         worker = self._workers.get(join.wid)
@@ -211,19 +201,9 @@ class Dispatcher:
     def settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
         """Settle a result: the first of a batch counts, if its sender was leased the batch.
 
-        Parameters
-        ----------
-        wid
-            The worker on whose key it came.
-        result
-            The message. One that cannot be unpacked may be passed on with all its rows named as failed.
-        rows
-            Its columns, unpacked; keys and genomes are filled in here.
-
-        Raises
-        ------
-        MessageError
-            It has another number of rows than its batch, or names a failed row that the batch has not.
+        Keys and genomes are filled into `rows`, the unpacked columns of the result that came on the key of
+        worker `wid`. Raises MessageError if it has another number of rows than its batch, or names a failed
+        row that the batch has not.
         """
         kind = self._batches.classify(wid, result)
         self.counters[kind.value] += 1

@@ -113,10 +113,6 @@ class JobScheduler:
 
     Parameters
     ----------
-    runs
-        The active runs.
-    put
-        Sends messages.
     batch_size
         Rows in a batch; None: measured.
     events
@@ -168,13 +164,7 @@ class JobScheduler:
     # Events.
 
     def handle(self, event: InboxEvent, now: float) -> None:
-        """Process an event; administrators' commands go to `obey`.
-
-        Raises
-        ------
-        TookOver
-            Another coordinator took over.
-        """
+        """Process an event, but for administrators' commands; TookOver if another coordinator did."""
         match event:
             case Sample():
                 self._on_message(event, now)
@@ -387,13 +377,7 @@ class JobScheduler:
     # Commands: they decide when and where rows are evaluated, and have no say in what a run finds.
 
     def obey(self, order: Order, now: float) -> str:
-        """Carry an administrator's command out; returns what happened, in a sentence.
-
-        Raises
-        ------
-        Refused
-            It cannot be done, and why not.
-        """
+        """Carry an administrator's command out; returns what happened, or raises Refused."""
         if self.is_ending:
             raise Refused(f"job '{self.job}' is ending already")
         match order.act:

@@ -41,17 +41,8 @@ class ActiveRun:
     def open(self, epoch: int, wait: Callable[[], None]) -> Opened:
         """Open the run and replay its journal into its search, checked bit for bit.
 
-        Parameters
-        ----------
-        epoch
-            The coordinator's; 0: the recorder issues a new one.
-        wait
-            Called between two requests; it may raise to end them.
-
-        Raises
-        ------
-        InputError
-            The recorder refuses the run, or its journal is not what its spec replays to.
+        In epoch 0 the recorder issues a new one. `wait` is called between two requests; it may raise to end
+        them. Raises InputError if the recorder refuses the run, or its spec does not replay to its journal.
         """
         opened = self.sink.open(self.plan.open_request, epoch, wait)
         position, durable = 0, opened.durable[0]
@@ -132,15 +123,7 @@ LoaderEvent = RunOpened | RunNotOpened | NoRunLeft
 
 
 class RunLoader:
-    """Opens the runs of a job one at a time.
-
-    Parameters
-    ----------
-    make_sink
-        Makes the sink that takes a run's rows.
-    put
-        Takes the result of each opening, in the loader's thread.
-    """
+    """Opens the runs of a job one at a time; `put` takes the results, in the loader's thread."""
 
     def __init__(
         self,
@@ -255,24 +238,12 @@ class RunRegistry:
         return self._all_opened and not self._open
 
     def check(self) -> None:
-        """Check that every run was carried out.
-
-        Raises
-        ------
-        RunsFailed
-            Some could not be.
-        """
+        """Raise RunsFailed if some runs could not be carried out."""
         if self._failures:
             raise RunsFailed(self._failures, self.extent.runs)
 
     def open_another(self, epoch: int, *, is_wanted: bool) -> None:
-        """Start to open a run if one is wanted or no run is active; one at a time.
-
-        Parameters
-        ----------
-        epoch
-            The coordinator's; 0 before it has one.
-        """
+        """Start to open a run if one is wanted or no run is active; one at a time."""
         is_due = is_wanted or not self._open
         if is_due and not self._is_opening and not self._all_opened and len(self._open) < MOST_RUNS:
             self._is_opening, self._was_put_back = True, False

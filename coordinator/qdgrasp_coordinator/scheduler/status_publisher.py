@@ -23,20 +23,14 @@ from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys, last_chunk, matches
 
 CURVE_SECONDS = 0.5  # Seconds for which curves are cached, however many queries come
-STALE_SECONDS = 5.0  # Seconds without an update after which queries go unanswered: the coordinator hangs
+STALE_SECONDS = 5.0  # Seconds without an update after which queries go unanswered
 
 CurveSource = Callable[[], Mapping[str, Struct]]
 """Returns the curves by key; called in any thread."""
 
 
 class StatusCache:
-    """Latest published values by key, and curves that are made when asked for.
-
-    Parameters
-    ----------
-    clock
-        The time [s].
-    """
+    """Latest published values by key, and curves that are made when asked for."""
 
     def __init__(self, curves: CurveSource, clock: Callable[[], float] = time.monotonic) -> None:
         self._curves = curves
@@ -61,10 +55,7 @@ class StatusCache:
     def answer(self, query: Query) -> dict[str, bytes]:
         """Return the values whose keys match; curves only if the pattern has `/curve/` in it.
 
-        Raises
-        ------
-        NoReply
-            Nothing was shown for a while.
+        Raises NoReply if nothing was shown for a while: the coordinator hangs.
         """
         if self._clock() > self._filled_at + STALE_SECONDS:
             raise NoReply(f"Nothing was shown for {STALE_SECONDS:g} s.")
@@ -85,13 +76,7 @@ WORKERS_INTERVAL = 1.0  # seconds between two of the workers', unless the state 
 
 
 class StatusPublisher:
-    """Publishes the status of a job on the bus.
-
-    Parameters
-    ----------
-    clock
-        The time for the status cache [s].
-    """
+    """Publishes the status of a job on the bus; `clock` is that of the status cache [s]."""
 
     def __init__(
         self, bus: Bus, scheduler: JobScheduler, clock: Callable[[], float] = time.monotonic

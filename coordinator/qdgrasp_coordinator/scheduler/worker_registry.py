@@ -241,17 +241,9 @@ class WorkerRegistry:
     def join(self, join: Join, now: float) -> list[bytes] | None:
         """Admit a worker, or admit it again; the first one sets the platform of the rows.
 
-        A worker whose token is not there yet is waited for, at most `TOKEN_DELAY` seconds.
-
-        Returns
-        -------
-        batches
-            Those that it held, which are taken from it; None: a join older than the latest changes nothing.
-
-        Raises
-        ------
-        Refused
-            It speaks another version of the protocol, or is of another platform.
+        Returns the ids of the batches that it held, which are taken from it; None: a join older than the
+        latest changes nothing. A worker whose token is not there yet is waited for, at most `TOKEN_DELAY`
+        seconds. Raises Refused if it speaks another version of the protocol, or is of another platform.
         """
         if VERSION not in join.versions:
             spoken = f"it speaks versions {join.versions} of the protocol"
