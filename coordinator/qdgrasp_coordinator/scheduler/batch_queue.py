@@ -15,8 +15,6 @@ from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, shorten
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack
 
-GREATEST_OUTCOME = int(max(Outcome))
-
 
 @dataclass(frozen=True)
 class RunRef:
@@ -121,18 +119,16 @@ def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
     if len(result.failures) == result.n:
         return result, shape.empty(result.n)
     try:
-        return result, _unpack_result(result, shape)
+        rows = unpack(shape.empty(result.n), RESULT, result.columns, shape)
+        greatest = int(rows["outcome"].max())
+        if greatest > max(Outcome):
+            raise MessageError(
+                f"column 'outcome' holds {greatest}, and outcomes end with {int(max(Outcome))}"
+            )
     except MessageError as error:
         failures = [Failure(row=row, reason=shorten(str(error))) for row in range(result.n)]
         return msgspec.structs.replace(result, failures=failures), shape.empty(result.n)
-
-
-def _unpack_result(result: Result, shape: RowShape) -> Rows:
-    rows = unpack(shape.empty(result.n), RESULT, result.columns, shape)
-    greatest = int(rows["outcome"].max())
-    if greatest > GREATEST_OUTCOME:
-        raise MessageError(f"column 'outcome' holds {greatest}, and outcomes end with {GREATEST_OUTCOME}")
-    return rows
+    return result, rows
 
 
 BATCH_SECONDS = 0.25  # Target duration of a batch [s]

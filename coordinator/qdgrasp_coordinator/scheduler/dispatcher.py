@@ -101,12 +101,7 @@ _COUNTED = ("leased", "requeued", "failures", "errors")
 class Dispatcher:
     """Leases the rows of all runs of a job to its workers.
 
-    Parameters
-    ----------
-    epoch
-        The coordinator's.
-    batch_size
-        Rows in a batch; None: as many as take about a quarter of a second.
+    A batch has `batch_size` rows; None: as many as take about a quarter of a second.
     """
 
     def __init__(self, epoch: int, workers: WorkerRegistry, batch_size: int | None = None) -> None:

@@ -88,12 +88,8 @@ class Inbox:
 class BusSubscriptions(ExitStack):
     """The coordinator's bus subscriptions; a context manager that closes them.
 
-    Parameters
-    ----------
-    scene
-        Returns the scene of a digest, or None; called in any thread.
-    show
-        Answers queries for the job's status; called in any thread.
+    `scene` returns the scene of a digest, or None; `show` answers queries for the job's status. Both are
+    called in any thread.
     """
 
     def __init__(

@@ -59,13 +59,7 @@ MOST_STOP_SECONDS = 5.0  # Longest wait for a recorder [s]; rows unrecorded by t
 
 
 class EarlyStop:
-    """Decides when a job ends early.
-
-    Parameters
-    ----------
-    seconds
-        Time after which it ends by itself; None: never.
-    """
+    """Decides when a job ends early: when asked to, or by itself after `seconds`; None: never."""
 
     reason: EndedEarly | None = None
     """Reason of a requested end; None: not requested."""
@@ -111,18 +105,8 @@ PutMessage = Callable[[str, Message, Channel], None]
 class JobScheduler:
     """Decides what a coordinator does with each event.
 
-    Parameters
-    ----------
-    batch_size
-        Rows in a batch; None: measured.
-    events
-        Log of what happens to the job; None: a log that is not shown.
-    stopping
-        When the job ends early; None: when asked to.
-    on_epoch
-        Called with the epoch that a recorder issued and the identity of the job, before a worker is served.
-    on_finished
-        Called with each finished and recorded run before it is removed.
+    `on_epoch` is called with the epoch that a recorder issued and the identity of the job, before a worker is
+    served; `on_finished` with each finished and recorded run before it is removed.
     """
 
     def __init__(

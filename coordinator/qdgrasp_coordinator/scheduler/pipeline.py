@@ -50,14 +50,8 @@ class Generation:
 class GenerationBuffer:
     """One generation that is asked and not yet told.
 
-    The journal has its nominal rows by index, then the trials of its successes by (index, trial).
-
-    Parameters
-    ----------
-    limit
-        Most nominal rows needed, from index 0 on.
-    trials
-        Number of trials of a success.
+    The journal has its nominal rows by index, then the trials of its successes by (index, trial). At most
+    `limit` nominal rows are needed, from index 0 on; a success has `trials` trials.
     """
 
     final: int = 0
@@ -275,15 +269,9 @@ class Pipeline:
     def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
         """Take evaluated rows, in any order, and return those that have just become final.
 
-        Parameters
-        ----------
-        rows
-            With keys, genomes and results; of any generations. Those that came before, were not asked for,
-            or come after the end, are ignored.
-        cpu_seconds
-            Their cost; passed on with the next rows that become final.
-        failures
-            Reasons of rows with `Outcome.ERROR`, by their place in `rows`.
+        The rows have keys, genomes and results, and are of any generations. Those that came before, were not
+        asked for, or come after the end, are ignored. `cpu_seconds` go on with the next rows that become
+        final; `failures` are the reasons of rows with `Outcome.ERROR`, by their place in `rows`.
         """
         self._cpu_seconds += cpu_seconds
         self._reasons |= _by_key(rows, failures)

@@ -212,14 +212,8 @@ CompareRow = Callable[[int, np.void, str], None]
 class ReevaluationPlan:
     """Recorded rows that are evaluated once more; no row becomes final.
 
-    Each travels under another key: generation 0, its place among the recorded rows as index, and its trial.
-
-    Parameters
-    ----------
-    recorded
-        (n,), in any order.
-    compare
-        Called once for each row.
+    They are `recorded` in any order: (n,). Each travels under another key: generation 0, its place among the
+    recorded rows as index, and its trial. `compare` is called once for each row.
     """
 
     def __init__(self, recorded: Rows, compare: CompareRow) -> None:

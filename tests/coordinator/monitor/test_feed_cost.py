@@ -152,7 +152,7 @@ def test_what_a_coordinator_keeps_does_not_grow_with_those_who_watch() -> None:
 def test_all_that_is_shown_is_dropped_before_anybody_waits() -> None:
     coordinator = Coordinator(MemoryNetwork())
     with coordinator.open():
-        coordinator.board.publish_meta("mine")
+        coordinator.publisher.publish_meta("mine")
         coordinator.show()
     assert coordinator.bus.channels == {Channel.MONITOR}
 
