@@ -88,10 +88,21 @@ KINDS = [
     if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
 ]
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
-SHOWN = (RunStatus, JobStatus, WorkersPage, JobMeta, JobEvent, JobEvents, GrowthCurve, RunListings, Heartbeat)
+SHOWN = {
+    "figures": RunStatus,
+    "jobfigures": JobStatus,
+    "teamfigures": WorkersPage,
+    "jobmeta": JobMeta,
+    "event": JobEvent,
+    "events": JobEvents,
+    "curve": GrowthCurve,
+    "runentries": RunListings,
+    "sign": Heartbeat,
+}
+"""What travels as JSON, by the names of the files in corpus/."""
 CONSUMERS: dict[str, Consumer] = {
     **{kind.wire_name: OWN.get(kind, plain(kind)) for kind in KINDS},
-    **{kind.__name__.lower(): shown(kind) for kind in SHOWN},
+    **{name: shown(kind) for name, kind in SHOWN.items()},
 }
 """By the kind of message."""
 
@@ -123,7 +134,7 @@ def seeds() -> dict[str, bytes]:
         },
     }
     made = {kind.wire_name: messages.encode(_made(kind, known.get(kind, {}))) for kind in KINDS}
-    return made | {kind.__name__.lower(): to_json(_shown(kind)) for kind in SHOWN}
+    return made | {name: to_json(_shown(kind)) for name, kind in SHOWN.items()}
 
 
 def _shown(kind: Any) -> Any:

@@ -20,7 +20,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 KEYS = Keys("run")
 CHANGED = 60  # messages of each kind, besides the corpus
 GROWTH = 64 << 20  # bytes
-ENCODINGS = {kind.__name__.lower(): messages.encoding(kind) for kind in KINDS}
+ENCODINGS = {kind.wire_name: messages.encoding(kind) for kind in KINDS}
 
 
 def refused(kind: str) -> Iterator[bytes]:
