@@ -104,7 +104,7 @@ class Turns(Watch):
         self.pairs: list[Pair] = []
 
     def _watch(self, warm_up: float, seconds: float) -> Iterator[None]:
-        while not self._service._turn.epoch:
+        while not self._service.scheduler.epoch:
             yield
         self._crew.join()
         while not self._crew.have_joined:

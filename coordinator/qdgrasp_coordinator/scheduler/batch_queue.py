@@ -219,15 +219,13 @@ class BatchQueue:
 
     def next_run(self, scenes: Collection[str]) -> str | None:
         """Return the run served least, or within the slack one whose scene is held; None: no rows."""
-        least = at_hand = None
-        for run, waiting in self._runs.items():
-            if waiting and (least is None or waiting.served < least[0]):
-                least = (waiting.served, run)
-            if waiting and waiting.run.scene in scenes and (at_hand is None or waiting.served < at_hand[0]):
-                at_hand = (waiting.served, run)
-        if least is None:
+        waiting = [rows for rows in self._runs.values() if rows]
+        if not waiting:
             return None
-        return at_hand[1] if at_hand and at_hand[0] <= least[0] + SCENE_SLACK else least[1]
+        least = min(waiting, key=lambda rows: rows.served)
+        held = (rows for rows in waiting if rows.run.scene in scenes)
+        least_held = min(held, key=lambda rows: rows.served, default=least)
+        return (least_held if least_held.served <= least.served + SCENE_SLACK else least).run.run
 
     def pop(self, run: str, workers: int) -> Batch:
         """Return the next batch of a waiting run: one queued again, or a new one."""

@@ -1,6 +1,6 @@
 """The pipeline of one run: orders asks and tells, and ends the run with its budget.
 
-Results arrive in any order; the search hears them generation by generation, and the journal is that order:
+Results arrive in any order; the search is told generation by generation, and the journal is that order:
 by generation, within it nominal rows by index, then the trials of successes by (index, trial). Pure state:
 whatever came in between, the rows that become final, and what the search is asked, are a function of the
 spec (docs/reproducibility.md).

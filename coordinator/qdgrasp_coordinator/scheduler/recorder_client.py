@@ -27,7 +27,7 @@ from qdgrasp_protocol.rows import Rows, RowShape
 
 
 class RowSink(ABC):
-    """Takes the settled rows of a run, in journal order; they count as safe where it has no recorder."""
+    """Takes the settled rows of a run, in journal order; safe at once without a recorder."""
 
     trouble: str = ""
     """Reason why rows cannot be written now; empty when they can."""
