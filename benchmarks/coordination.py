@@ -14,15 +14,17 @@ from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_coordinator.recorder.recorder import Recorder, open_recorder
+from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import AIMED, method
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.messages import Open, OpenRun, Result, Work
+from qdgrasp_protocol.messages import VERSION, Join, Open, OpenRun, Result, Work
 from qdgrasp_protocol.rows import RESULT, Genomes, Outcome, Rows, RowShape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -70,8 +72,13 @@ class Coordinator:
         self._ledger.seconds.clear()
         self._layout = space.layout
         self._scale = 1.0 if chosen is AIMED else 0.2  # m, of what the first three genes stand for
-        self._dispatch = Dispatcher(1, BATCH)
-        self._dispatch.join(WID, 1, 8, [], 0.0)
+        workers = WorkerRegistry()
+        workers.on_token(WID, True, 0.0)
+        self._dispatcher = Dispatcher(1, workers, BATCH)
+        self._dispatcher.join(
+            Join(versions=[VERSION], wid=WID, number=1, credit=8, held=[], host="here", pid=1, platform={}),
+            0.0,
+        )
 
     def __call__(self, meter: Meter) -> float:
         """Have the next batches evaluated; how many rows became final."""
@@ -89,10 +96,8 @@ class Coordinator:
             asked = self._pipeline.ask()
         with self._ledger.within("dispatch"):
             if asked is not None:
-                self._dispatch.submit(
-                    "run", "0" * 64, self._prior, asked.number, asked.indices, asked.trials, asked.genomes
-                )
-            leases = self._dispatch.leases(0.0)
+                self._dispatcher.submit(RunRef("run", "0" * 64, self._prior), asked)
+            leases = self._dispatcher.leases(0.0)
         with self._ledger.within("messages"):
             return [messages.encode(lease.work(1)) for lease in leases]
 
@@ -101,7 +106,7 @@ class Coordinator:
             result = messages.decode(answer, Result)
             rows = unpack(self._shape.empty(result.n), RESULT, result.columns, self._shape)
         with self._ledger.within("dispatch"):
-            settled = self._dispatch.settle(WID, result, rows, 0.0)
+            settled = self._dispatcher.settle(WID, result, rows, 0.0)
         if settled.rows is None:
             return
         with self._ledger.within("pipeline"):

@@ -388,7 +388,7 @@ class Watch:
         return self._windows[-1]
 
     def _watch(self, warm_up: float, seconds: float) -> Iterator[None]:
-        while not self._service._turn.epoch:
+        while not self._service.scheduler.epoch:
             yield
         began = time.monotonic()
         self._crew.join()
@@ -410,7 +410,7 @@ class Watch:
 
     def _count(self) -> tuple[int, int]:
         rows = sum(run.pipeline.tally.rows for run in self._runs)
-        return rows, self._service._turn.dispatch.counters["fresh"]
+        return rows, self._service.scheduler.dispatcher.counters["fresh"]
 
 
 def coordinate(
@@ -426,8 +426,8 @@ def coordinate(
             bus,
             watch.stop,
             job=JOB,
-            programme=Several(runs),
-            make_record=make_record(bus),
+            queue=Several(runs),
+            make_sink=make_record(bus),
             batch_size=batch_size,
         )
         service.run(lambda now: watch.look(now, service))

@@ -104,7 +104,7 @@ class Turns(Watch):
         self.pairs: list[Pair] = []
 
     def _watch(self, warm_up: float, seconds: float) -> Iterator[None]:
-        while not self._service._turn.epoch:
+        while not self._service.scheduler.epoch:
             yield
         self._crew.join()
         while not self._crew.have_joined:
@@ -156,8 +156,8 @@ def take_turns(
             bus,
             turns.stop,
             job=JOB,
-            programme=Several(runs),
-            make_record=lambda run: PlatformSink(run.shape),
+            queue=Several(runs),
+            make_sink=lambda run: PlatformSink(run.shape),
             batch_size=BATCH,
         )
         service.run(lambda now: turns.look(now, service))

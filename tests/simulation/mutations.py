@@ -1,4 +1,4 @@
-"""Mutations: each breaks one rule of a state machine; the invariants must notice, within some histories.
+"""Mutations: each breaks one rule, and invariants must notice within some histories.
 
 `MUTATIONS` names them: what is replaced, by what. A mutation that nothing notices says that the histories
 are too tame, or an invariant is missing.
@@ -19,17 +19,13 @@ from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
 from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
 from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.scheduler import dispatcher as dispatching
+from qdgrasp_coordinator.scheduler import worker_registry
 from qdgrasp_coordinator.scheduler.batch_queue import BatchQueue, Settlement
-from qdgrasp_coordinator.scheduler.dispatcher import BatchTable, Dispatcher, SettledBatch
+from qdgrasp_coordinator.scheduler.dispatcher import BatchTable, Dispatcher
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
-from qdgrasp_coordinator.scheduler.worker_registry import (
-    IdleWorkerQueue,
-    OverdueWorker,
-    Worker,
-    WorkerRegistry,
-)
+from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.runtime.job_registry import JobSession
@@ -47,7 +43,7 @@ class Mutation:
     rule: str
     """The rule of docs/bus.md, or what else is broken."""
     invariants: tuple[str, ...]
-    """Which of them are to notice; what else is violated says nothing, for any fault may break anything."""
+    """Those that are to notice; others do not count, for any fault may break anything."""
     patches: Callable[[], list[Patch]]
 
     @contextmanager
@@ -59,8 +55,8 @@ class Mutation:
             yield
 
 
-def method(owner: type, name: str, make: Callable[[Any], Any]) -> Patch:
-    """A method replaced by what `make` makes of it."""
+def method(owner: object, name: str, make: Callable[[Any], Any]) -> Patch:
+    """A method or function replaced by what `make` makes of it."""
     return patch.object(owner, name, make(getattr(owner, name)))
 
 
@@ -90,86 +86,85 @@ def _keep_held(on_answer: Any) -> Any:
 
 
 def _keep_settled(close: Any) -> Any:
-    def closed(tickets: BatchTable, ticket: Any, winner: str | None = None) -> None:
-        close(tickets, ticket, winner)
-        vars(tickets).setdefault("kept", {})[ticket.batch.id] = ticket
+    def closed(batches: BatchTable, state: Any, winner: str | None = None) -> None:
+        close(batches, state, winner)
+        vars(batches).setdefault("kept", {})[state.batch.id] = state
 
     return closed
 
 
-def _settle_again(judge: Any) -> Any:
-    def judged(tickets: Any, wid: str, result: Any) -> Settlement:
-        kind: Settlement = judge(tickets, wid, result)
+def _settle_again(classify: Any) -> Any:
+    def classified(batches: Any, wid: str, result: Any) -> Settlement:
+        kind: Settlement = classify(batches, wid, result)
         if kind not in (Settlement.DUPLICATE, Settlement.LATE):
             return kind
-        tickets._open[result.batch] = tickets.kept[result.batch]
+        batches._open[result.batch] = batches.kept[result.batch]
         return Settlement.FRESH
 
-    return judged
+    return classified
 
 
-def _close_and_keep(tickets: BatchTable, ticket: Any, winner: str | None = None) -> None:
-    tickets._settled[ticket.batch.id] = SettledBatch(tickets._open.pop(ticket.batch.id).leased, winner)
+def _close_and_keep(batches: BatchTable, state: Any, winner: str | None = None) -> None:
+    batches._settled[state.batch.id] = (batches._open.pop(state.batch.id).leased, winner)
 
 
-def _accept_anybody(judge: Any) -> Any:
-    def judged(tickets: BatchTable, wid: str, result: Any) -> Settlement:
-        ticket = tickets._open.get(result.batch)
-        if ticket is not None and result.n == len(ticket.batch):
-            ticket.leased.add(wid)
-        return judge(tickets, wid, result)
+def _accept_any_worker(classify: Any) -> Any:
+    def classified(batches: BatchTable, wid: str, result: Any) -> Settlement:
+        state = batches._open.get(result.batch)
+        if state is not None and result.n == len(state.batch):
+            state.leased.add(wid)
+        return classify(batches, wid, result)
 
-    return judged
+    return classified
 
 
 def _forget_requeued(requeue: Any) -> Any:
-    def requeued(dispatch: Dispatcher, batch_ids: Any) -> int:
-        with patch.object(BatchQueue, "put_back"):
-            return requeue(dispatch, batch_ids)
+    def requeued(dispatcher: Dispatcher, batch_ids: Any) -> int:
+        with patch.object(BatchQueue, "requeue"):
+            return requeue(dispatcher, batch_ids)
 
     return requeued
 
 
 def _join_without_requeue(join: Any) -> Any:
-    def joined(dispatch: Dispatcher, *arguments: Any) -> list[bytes]:
-        with patch.object(Dispatcher, "_requeue", lambda self, ids: len(list(ids))):
-            return join(dispatch, *arguments)
+    def joined(dispatcher: Dispatcher, *arguments: Any) -> list[bytes]:
+        with patch.object(Dispatcher, "requeue", lambda self, ids: len(list(ids))):
+            return join(dispatcher, *arguments)
 
     return joined
 
 
 def _stay_due(give_up: Any) -> Any:
-    def given_up(roster: WorkerRegistry, member: Worker) -> OverdueWorker:
-        gone, member.gone_at = member.gone_at, None
-        overdue: OverdueWorker = give_up(roster, member)
-        member.gone_at = gone
-        return overdue
+    def given_up(workers: WorkerRegistry, worker: Worker, now: float) -> LostWorker:
+        gone, worker.gone_at = worker.gone_at, None
+        lost: LostWorker = give_up(workers, worker, now)
+        worker.gone_at = gone
+        return lost
 
     return given_up
 
 
 def _never_forget(give_up: Any) -> Any:
-    def given_up(roster: WorkerRegistry, member: Worker) -> OverdueWorker:
-        member.gone_at = None  # as one whose token is there, but who makes no progress
-        overdue: OverdueWorker = give_up(roster, member)
-        return overdue
+    def given_up(workers: WorkerRegistry, worker: Worker, now: float) -> LostWorker:
+        worker.gone_at = None  # as one whose token is there, but who makes no progress
+        lost: LostWorker = give_up(workers, worker, now)
+        return lost
 
     return given_up
 
 
-def _overlook_the_first(free: Any) -> Any:
-    def found(roster: WorkerRegistry) -> IdleWorkerQueue:
-        hands: IdleWorkerQueue = free(roster)
-        del hands._heap[:1]
-        return hands
+def _overlook_the_first(ordered: Any) -> Any:
+    def found(workers: list[Worker]) -> Iterator[Worker]:
+        rest = sorted(workers, key=lambda worker: (len(worker.batches), worker.progress, worker.order))[1:]
+        yield from ordered(rest)
 
     return found
 
 
 def _withdraw_half(withdraw: Any) -> Any:
-    def withdrawn(dispatch: Dispatcher, run: str) -> Any:
+    def withdrawn(dispatcher: Dispatcher, run: str) -> Any:
         with patch.object(BatchQueue, "withdraw"):
-            return withdraw(dispatch, run)
+            return withdraw(dispatcher, run)
 
     return withdrawn
 
@@ -177,11 +172,10 @@ def _withdraw_half(withdraw: Any) -> Any:
 # Pipeline, outbox, recorder.
 
 
-def _arrived_with_gaps(slot: GenerationBuffer) -> Any:
-    indices, trials = slot._next(4096)
-    here = slot._here[indices, trials]
-    n = int(here.sum())
-    return slot._rows[indices[here], trials[here]][:n]
+def _ready_with_gaps(buffer: GenerationBuffer) -> Any:
+    indices, trials = buffer._next(4096)
+    is_present = buffer._is_present[indices, trials]
+    return buffer._rows[indices[is_present], trials[is_present]]
 
 
 def _replay_without_last(replay: Any) -> Any:
@@ -251,13 +245,13 @@ MUTATIONS = [
         "settle twice",
         "5",
         ("settled once",),
-        lambda: [method(BatchTable, "close", _keep_settled), method(BatchTable, "judge", _settle_again)],
+        lambda: [method(BatchTable, "close", _keep_settled), method(BatchTable, "classify", _settle_again)],
     ),
     Mutation(
         "take a result from a worker that was not leased it",
         "5",
         ("settled once",),
-        lambda: [method(BatchTable, "judge", _accept_anybody)],
+        lambda: [method(BatchTable, "classify", _accept_any_worker)],
     ),
     Mutation(
         "acknowledge before durable",
@@ -265,12 +259,12 @@ MUTATIONS = [
         ("acknowledged when durable",),
         lambda: [method(Recorder, "_report", _report_expected)],
     ),
-    Mutation("forget before durable", "8", ("progress",), lambda: [method(Outbox, "due", _forget_sent)]),
+    Mutation("forget before durable", "8", ("progress",), lambda: [method(Outbox, "take_due", _forget_sent)]),
     Mutation(
         "tell out of order",
         "7",
         ("told in order",),
-        lambda: [patch.object(GenerationBuffer, "arrived", _arrived_with_gaps)],
+        lambda: [patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps)],
     ),
     Mutation(
         "take rows of an older epoch",
@@ -309,7 +303,7 @@ MUTATIONS = [
         "forget what is to be queued again",
         "4",
         ("nothing is lost",),
-        lambda: [method(Dispatcher, "_requeue", _forget_requeued)],
+        lambda: [method(Dispatcher, "requeue", _forget_requeued)],
     ),
     Mutation(
         "a join queues nothing again",
@@ -345,11 +339,9 @@ MUTATIONS = [
         "give up while cut off",
         "4",
         ("patience while cut off",),
-        lambda: [patch.object(WorkerRegistry, "link", lambda *_: None)],
+        lambda: [patch.object(WorkerRegistry, "on_link", lambda *_: None)],
     ),
-    Mutation(
-        "send rows once", "8", ("progress",), lambda: [patch.object(Outbox, "_resend", lambda *_: None)]
-    ),
+    Mutation("send rows once", "8", ("progress",), lambda: [patch.object(Outbox, "resend", lambda *_: None)]),
     Mutation(
         "ask without end", "8", ("bounded memory",), lambda: [value(Outbox, "is_full", lambda _: False)]
     ),
@@ -378,7 +370,7 @@ MUTATIONS = [
         "overlook a worker with credit",
         "1",
         ("work is handed out",),
-        lambda: [method(WorkerRegistry, "free", _overlook_the_first)],
+        lambda: [method(worker_registry, "fewest_batches_first", _overlook_the_first)],
     ),
     Mutation(
         "remember every batch",
@@ -405,7 +397,7 @@ MUTATIONS = [
         "pass over a higher epoch",
         "8",
         ("progress",),
-        lambda: [patch.object(JobScheduler, "_take_token", lambda *_: None)],
+        lambda: [patch.object(JobScheduler, "_on_token", lambda *_: None)],
     ),
     Mutation(
         "keep work of an older epoch", "3", ("fenced",), lambda: [method(JobSession, "on_answer", _keep_held)]
@@ -420,7 +412,7 @@ MUTATIONS = [
 
 
 def noticed(mutation: Mutation, most: int = MOST, first: int = 0) -> tuple[str, int] | None:
-    """Which of the invariants that are to notice a mutation did, and after how many histories; None: none."""
+    """Return the invariant that noticed a mutation, and the number of histories; else None."""
     with mutation.applied():
         for count, number in enumerate(range(first, first + most), 1):
             violated = play(wild(number)).violated

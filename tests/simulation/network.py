@@ -1,4 +1,4 @@
-"""A simulated world, and the bus in it: sessions on links to one router, as zenoh behaves (docs/bus.md).
+"""A simulated world and its bus: sessions on links to one router, as zenoh behaves.
 
 Time is a number, events are calls in a heap, all chance comes from one seed.
 """
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Protocol
 
-from qdgrasp_coordinator.scheduler.job_scheduler import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol.bus import Channel, Query, Sample
 from qdgrasp_protocol.errors import NoReply
 
@@ -25,9 +25,9 @@ class World:
         self.chance = random.Random(seed)  # noqa: S311 - dice, not secrets
         self.events = 0
         self.trace: list[str] | None = None
-        """What happened, a line each; None: it is not noted."""
+        """Events, a line each; None: they are not noted."""
         self.touched: list[object] = []
-        """Whose state the present event may have changed."""
+        """Processes whose state the present event may have changed."""
         self.look: Callable[[], None] = lambda: None
         """Called after every event that touched something: it checks what must always hold."""
         self._heap: list[tuple[float, int, Callable[[], None]]] = []
@@ -74,11 +74,11 @@ class Clock:
 
     @property
     def now(self) -> float:
-        """What it shows [s]."""
+        """The time that it shows [s]."""
         return self._offset + self._rate * self._world.now
 
     def span(self, seconds: float) -> float:
-        """How long it takes in the world until it shows so much more, never less."""
+        """Return the time in the world until it shows so much more, never less."""
         return max(0.0, seconds) / self._rate + 1e-9
 
 
@@ -88,7 +88,7 @@ LEASE = 4.0
 
 @dataclass(frozen=True)
 class Terms:
-    """How well messages travel; probabilities are per message and link."""
+    """Quality of the links; probabilities are per message and link."""
 
     delay: float = 0.01
     """The mean of each way's time [s]."""
@@ -109,7 +109,7 @@ class Asked:
 
 
 class Host(Protocol):
-    """Who holds a session."""
+    """Holder of a session."""
 
     name: str
 
@@ -148,10 +148,10 @@ class Network:
         self._world = world
         self.terms = terms
         self.is_up = True
-        """Whether the router runs."""
+        """True if the router runs."""
         self.sessions: list[Session] = []
         self.recent: deque[tuple[Sample, Channel]] = deque(maxlen=50)
-        """What was put last."""
+        """The messages put last."""
         self._subscribers: dict[str, list[Session]] = defaultdict(list)
         self._answerers: dict[str, list[Session]] = defaultdict(list)
 
@@ -185,11 +185,11 @@ class Network:
             self._announce(session.tokens, alive=False)
 
     def subscribe(self, session: Session, pattern: str) -> None:
-        """Hear messages."""
+        """Receive messages."""
         self._subscribers[pattern].append(session)
 
     def answer(self, session: Session, pattern: str) -> None:
-        """Hear questions."""
+        """Receive questions."""
         self._answerers[pattern].append(session)
 
     def token(self, session: Session, key: str) -> None:
@@ -205,7 +205,7 @@ class Network:
             self._announce({key}, alive=False)
 
     def watch(self, session: Session, pattern: str) -> None:
-        """Hear of tokens, those alive first."""
+        """Receive changes of tokens, those alive first."""
         session.watched.append(pattern)
         if session.is_up:
             self._tell(session, {key for key in self._alive if any_of(key) == pattern}, alive=True)
@@ -213,7 +213,7 @@ class Network:
     # Messages and questions.
 
     def put(self, session: Session, key: str, payload: bytes, encoding: str, channel: Channel) -> None:
-        """Send a message to whoever hears it; without a link it is lost."""
+        """Send a message to all subscribers; without a link it is lost."""
         sample = Sample(key, payload, encoding)
         if channel is not Channel.MONITOR and session.is_up:
             self.recent.append((sample, channel))

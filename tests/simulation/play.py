@@ -124,7 +124,7 @@ class Faults:
             process.end(flushed=self._chance.random() < 0.5)
 
     def _repeat(self) -> None:
-        """Repeat an old message, except work: nobody but the coordinator may send that."""
+        """Repeat an old message, except work: only the coordinator may send that."""
         recent = [entry for entry in self._stage.network.recent if "/@work/" not in entry[0].key]
         if recent:
             self._stage.network.repeat(*self._chance.choice(recent))
@@ -155,17 +155,17 @@ SMALL = [
 
 @dataclass
 class Verdict:
-    """How a history went."""
+    """Result of a history."""
 
     history: History
     violated: InvariantViolated | None = None
     seconds: float = 0.0
-    """How long it took in its world."""
+    """Its duration in its world."""
     events: int = 0
     counters: dict[str, int] = field(default_factory=dict)
-    """What the last coordinator's dispatch counted."""
+    """The counters of the last coordinator's dispatcher."""
     journals: dict[str, bytes] = field(default_factory=dict)
-    """What is on the disk of each run."""
+    """The bytes on the disk of each run."""
     trace: list[str] = field(default_factory=list)
 
 
@@ -213,6 +213,6 @@ def _play(history: History, trace: bool) -> Verdict:
         verdict.violated.__cause__ = error
     verdict.seconds, verdict.events, verdict.trace = world.now, world.events, world.trace or []
     coordinators = stage.of(Coordinator, living=False)
-    verdict.counters = coordinators[-1].turn.dispatch.counters if coordinators else {}
+    verdict.counters = coordinators[-1].scheduler.dispatcher.counters if coordinators else {}
     verdict.journals = {run: file.journal for run, file in stage.disk.files.items()}
     return verdict

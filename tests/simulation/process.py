@@ -42,7 +42,7 @@ class CheckedSearch:
         self._search = search
         self._in_flight = in_flight
         self._asked: deque[int] = deque()
-        """How many genomes the generations have that are asked and not told."""
+        """Numbers of genomes of the generations that are asked and not told."""
         self._told = 0
 
     def ask(self, generation: int) -> Genomes:
@@ -111,7 +111,7 @@ class Busy:
 
 
 SHORT, MOST_SHORT = 1e-3, 20
-"""Seconds within which nobody looks up again with nothing heard, and how often in a row it may."""
+"""Seconds that count as no wait, and the most such waits in a row with nothing to do."""
 Life = Generator[Listen | Busy, None, None]
 
 
@@ -147,7 +147,7 @@ class Process:
         return not (self.is_over or self.is_frozen)
 
     def life(self) -> Life:
-        """What it does, from its start to its end."""
+        """Act from the start to the end."""
         raise NotImplementedError
 
     def note(self, what: str) -> None:

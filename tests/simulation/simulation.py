@@ -1,13 +1,11 @@
-"""A whole simulation: its world, its processes, the keeper that restarts them, and its checks."""
+"""A whole simulation: its world, its processes, their restarts, and its checks."""
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable
 from functools import lru_cache
 from math import inf
 from typing import TypeVar
 
-import numpy as np
 from tests.coordinator.scheduler.search_plans import Plan, Task, reference
 from tests.simulation.coordinator import Coordinator
 from tests.simulation.network import Network, World
@@ -21,14 +19,13 @@ from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.recorder import run_writer
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival
-from qdgrasp_coordinator.scheduler import dispatcher, recorder_client, worker_registry
-from qdgrasp_coordinator.scheduler.batch_queue import Batch, Lease, Settlement, SettleReply
-from qdgrasp_coordinator.scheduler.dispatcher import Dispatcher, LostWorker
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
+from qdgrasp_coordinator.scheduler import dispatcher, recorder_client
+from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement, SettleReply
+from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
-from qdgrasp_coordinator.scheduler.worker_registry import SCENES_KEPT
+from qdgrasp_coordinator.scheduler.worker_registry import SCENES_KEPT, TURNAROUNDS_KEPT, LostWorker
 from qdgrasp_protocol.messages import Recordable, Recorded, Result
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -56,11 +53,11 @@ class Simulation:
         self.mishaps = Mishaps(self.world.chance, history.hiccup)
         self.processes: list[Process] = []
         self.task = history.runs[0].task
-        """What is evaluated, the same in all runs."""
+        """The search and evaluation, the same in all runs."""
         names = ["run"] if len(history.runs) == 1 else [f"run-{n}" for n in range(len(history.runs))]
         self.plans = dict(zip(names, history.runs, strict=True))
         self.journals = {run: journal_of(plan) for run, plan in self.plans.items()}
-        """What each run's journal is to be."""
+        """The journal that each run is to have."""
         self.lengths = {
             run: len(journal) // self.task.shape.dtype.itemsize for run, journal in self.journals.items()
         }
@@ -99,7 +96,7 @@ class Simulation:
 
     @property
     def calm_seconds(self) -> float:
-        """How long nothing went wrong."""
+        """Seconds in which nothing went wrong."""
         return max(0.0, self.world.now - self.calm_since)
 
     @property
@@ -116,14 +113,14 @@ class Simulation:
         return [p for p in self.processes if isinstance(p, kind) and not (living and p.is_over)]
 
     def some(self, kind: type[P]) -> P | None:
-        """Any one of the running processes of a kind; None where there is none."""
+        """Return any running process of a kind, or None."""
         running = [process for process in self.of(kind) if process.is_running]
         return self.world.chance.choice(running) if running else None
 
     # Processes are started.
 
     def start_forger(self) -> None:
-        """Start somebody who forges results."""
+        """Start a process that forges results."""
         self.processes.append(Forger(self.world, self.network, f"{self._next():032x}"))
 
     def start_worker(self) -> None:
@@ -161,9 +158,9 @@ class Simulation:
             self.network,
             name,
             list(self.plans),
-            self._assignment,
+            self._plan,
             self.history.batch_size,
-            met=self.watch.began,
+            on_epoch=self.watch.began,
         )
         coordinator.session.is_local = self.history.is_embedded
         self.processes.append(coordinator)
@@ -172,7 +169,7 @@ class Simulation:
         self._started += 1
         return self._started
 
-    def _assignment(self, run: str) -> RunPlan:
+    def _plan(self, run: str) -> RunPlan:
         """A run, with a new search."""
         plan, digest = self.plans[run], hashlib.sha256(run.encode()).hexdigest()
         spec = to_toml(RunSpec(gripper="hand", object="thing", seed=plan.seed, evaluations=plan.evaluations))
@@ -208,7 +205,7 @@ Key = tuple[str, int, int, int]
 
 
 class DispatchChecker:
-    """Watches the dispatch of one turn: what goes in, and what comes out."""
+    """Watches the dispatch of one epoch: what goes in, and what comes out."""
 
     def __init__(self, host: Coordinator, task: Task) -> None:
         self._host = host
@@ -219,20 +216,20 @@ class DispatchChecker:
         """Rows that were asked and are not settled."""
         self.taken_back: Counter[str] = Counter()
         """Batches that were taken back, by worker: it may not know."""
-        self._attach(host.turn.dispatch)
+        self._dispatch, self._workers = host.scheduler.dispatcher, host.scheduler.workers
+        for name in ("submit", "withdraw", "leases", "settle"):
+            self._wrap(self._dispatch, name)
+        self._wrap(self._workers, "overdue")
 
-    def _attach(self, dispatch: Dispatcher) -> None:
-        self._dispatch = dispatch
-        for name in ("submit", "withdraw", "leases", "settle", "tick"):
-            setattr(self, f"_real_{name}", getattr(dispatch, name))
-            setattr(dispatch, name, getattr(self, f"_{name}"))
+    def _wrap(self, owner: object, name: str) -> None:
+        setattr(self, f"_real_{name}", getattr(owner, name))
+        setattr(owner, name, getattr(self, f"_{name}"))
 
-    def _submit(self, run: str, scene: str, prior: str, generation: int, *rest: np.ndarray) -> None:
-        indices, trials, genomes = rest
-        keys = _keys(run, generation, indices, trials)
+    def _submit(self, run: RunRef, generation: Generation) -> None:
+        keys = _keys(run.run, generation)
         require(self.outstanding.isdisjoint(keys), "nothing is lost", "asked twice:", keys)
         self.outstanding.update(keys)
-        self._real_submit(run, scene, prior, generation, indices, trials, genomes)
+        self._real_submit(run, generation)
 
     def _withdraw(self, run: str) -> dict[str, list[bytes]]:
         self.outstanding = {key for key in self.outstanding if key[0] != run}
@@ -246,16 +243,16 @@ class DispatchChecker:
             require(
                 lease.batch.id not in self._settled, "settled once", "leased again:", lease.batch.id.hex()
             )
-            held = len(self._dispatch._roster._members[lease.wid].batches)
+            held = len(self._workers._workers[lease.wid].batches)
             require(held <= CREDIT, "bounded work", "worker", lease.wid, "is leased", held)
             self._leased.setdefault(lease.batch.id, set()).add(lease.wid)
             self._host.note(
                 f"leases {lease.batch.id.hex()[-4:]} to worker {int(lease.wid, 16)}, join {lease.join}"
             )
-        waits = any(queue for queue in self._dispatch._backlog._queues.values())
-        members = self._dispatch.members
-        is_any_well = any(member.is_well for member in members)
-        free = [member.wid for member in members if member.has_credit and (member.is_well or not is_any_well)]
+        waits = any(waiting for waiting in self._dispatch._queue._runs.values())
+        workers = list(self._workers)
+        is_any_well = any(worker.is_well for worker in workers)
+        free = [worker.wid for worker in workers if worker.has_credit and (worker.is_well or not is_any_well)]
         require(not (waits and free), "work is handed out", "nothing is leased to", free)
         return leases
 
@@ -287,73 +284,67 @@ class DispatchChecker:
         require(keys <= self.outstanding, "settled once", "nobody waits for", keys - self.outstanding)
         self.outstanding -= keys
 
-    def _tick(self, now: float) -> list[LostWorker]:
-        lost = self._real_tick(now)
-        for worker in lost:
-            self._host.note(f"gives worker {int(worker.wid, 16)} up: {worker.reason}")
+    def _overdue(self, now: float) -> list[LostWorker]:
+        lost = self._real_overdue(now)
+        for one in lost:
+            self._host.note(f"gives worker {int(one.worker.wid, 16)} up: {one.reason}")
         require(not lost or self._host.link_is_up, "patience while cut off", lost)
-        for worker in lost:
-            self.taken_back[worker.wid] += worker.batches
+        for one in lost:
+            self.taken_back[one.worker.wid] += len(one.batches)
         return lost
 
     # After every event.
 
     def look(self) -> None:
         """Check where all batches are."""
-        dispatch, members = self._dispatch, self._dispatch._roster._members
+        workers = self._workers._workers
         places: list[Key] = []
-        for queue in dispatch._backlog._queues.values():
-            for batch in (*queue.chunks, *queue.back.values()):
-                places += _keys_of(batch)
-        held: dict[str, set[bytes]] = {wid: set() for wid in members}
-        for ticket in dispatch._tickets._open.values():
-            if ticket.holder is not None:
-                places += _keys_of(ticket.batch)
-                held.setdefault(ticket.holder, set()).add(ticket.batch.id)
+        for run, waiting in self._dispatch._queue._runs.items():
+            for rows in (*waiting.uncut, *(batch.rows for batch in waiting.again.values())):
+                places += _keys(run, rows)
+        held: dict[str, set[bytes]] = {wid: set() for wid in workers}
+        for state in self._dispatch._batches._open.values():
+            if state.holder is not None:
+                places += _keys(state.batch.run.run, state.batch.rows)
+                held.setdefault(state.holder, set()).add(state.batch.id)
         require(len(places) == len(set(places)), "nothing is lost", "a row is in two places")
         require(
             set(places) == self.outstanding, "nothing is lost", self.outstanding.symmetric_difference(places)
         )
         for wid, batches in held.items():
-            known = set(members[wid].batches) if wid in members else set()
+            known = set(workers[wid].batches) if wid in workers else set()
             require(
                 batches == known, "nothing is lost", wid, "is leased", batches, "and known to hold", known
             )
 
     def look_at_bounds(self) -> None:
         """Check credit, and how much is remembered."""
-        dispatch = self._dispatch
-        for member in dispatch.members:
-            require(len(member.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
-        require(len(dispatch._tickets._open) <= len(self.outstanding), "bounded memory", "open tickets")
-        require(
-            len(dispatch._tickets._settled) <= dispatcher.MOST_SETTLED, "bounded memory", "settled tickets"
-        )
-        require(len(dispatch._roster.patience._turns) <= worker_registry._TURNS, "bounded memory", "turns")
-        open_runs = set(self._host.lanes.open)
-        require(set(dispatch._backlog._queues) <= open_runs, "bounded memory", "queues of finished runs")
+        for worker in self._workers:
+            require(len(worker.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
+        batches, timeout = self._dispatch._batches, self._workers.lease_timeout
+        require(len(batches._open) <= len(self.outstanding), "bounded memory", "open batches")
+        require(len(batches._settled) <= dispatcher.MOST_SETTLED, "bounded memory", "settled batches")
+        require(len(timeout._turnarounds) <= TURNAROUNDS_KEPT, "bounded memory", "turnarounds")
+        open_runs = {run.name for run in self._host.scheduler.runs}
+        require(set(self._dispatch._queue._runs) <= open_runs, "bounded memory", "rows of finished runs")
 
     def look_at_members(self, living: set[str]) -> None:
-        """Check that nobody is remembered who is gone."""
-        gone = set(self._dispatch._roster._members) - living
+        """Check that only workers that are there are remembered."""
+        gone = set(self._workers._workers) - living
         require(not gone, "bounded memory", "workers that are gone:", gone)
-        gone = self._host.turn.crew.alive - living
+        gone = self._workers.alive - living
         require(not gone, "bounded memory", "tokens that are gone:", gone)
 
 
-def _keys_of(batch: Batch) -> Iterable[Key]:
-    return _keys(batch.run, batch.generation, batch.indices, batch.trials)
-
-
-def _keys(run: str, generation: int, indices: np.ndarray, trials: np.ndarray) -> list[Key]:
+def _keys(run: str, rows: Generation) -> list[Key]:
     return [
-        (run, generation, index, trial)
-        for index, trial in zip(indices.tolist(), trials.tolist(), strict=True)
+        (run, rows.number, index, trial)
+        for index, trial in zip(rows.indices.tolist(), rows.trials.tolist(), strict=True)
     ]
 
 
 PATIENCE, LOSSY_PATIENCE = 150.0, 900.0
-"""Seconds of calm in which a row must have been recorded; where messages are lost, leases must pass first."""
+"""Seconds of calm in which a row must be recorded; on lossy links leases must pass first."""
 SETTLED_DOWN = 45.0
 """Seconds of calm after which only those are remembered who are there."""
 
@@ -363,7 +354,7 @@ class SimulationChecker:
 
     def __init__(self, stage: Simulation) -> None:
         self._stage = stage
-        self._turns: dict[str, DispatchChecker] = {}
+        self._dispatches: dict[str, DispatchChecker] = {}
         self._checked: dict[str, int] = {}
         """Stretches on the disk that were compared, by run."""
         self._pushed: dict[ActiveRun, int] = {}
@@ -377,12 +368,12 @@ class SimulationChecker:
         stage.watch = self
 
     def began(self, host: Coordinator) -> None:
-        """Hear that a turn begins."""
-        epoch = host.turn.epoch
+        """Watch a dispatcher as its epoch begins."""
+        epoch = host.scheduler.epoch
         if not self._stage.disk.was_restored:
             require(epoch not in self._epochs, "epochs rise", f"{epoch} is used twice")
         self._epochs.add(epoch)
-        self._turns[host.name] = DispatchChecker(host, self._stage.task)
+        self._dispatches[host.name] = DispatchChecker(host, self._stage.task)
 
     def opened(self, recorder: Recorder) -> None:
         """Watch the rows that a recorder takes."""
@@ -397,7 +388,7 @@ class SimulationChecker:
         recorder.add_rows = added  # type: ignore[method-assign]
 
     def reported(self, report: Recorded) -> None:
-        """Hear what a recorder reports."""
+        """Check a recorder's report."""
         durable = self._stage.disk.counts().get(report.run, 0)
         require(report.durable <= durable, "acknowledged when durable", report.durable, "of", durable)
 
@@ -436,9 +427,9 @@ class SimulationChecker:
             self._checked[run] = len(file.slices)
 
     def _look_at_coordinator(self, coordinator: Coordinator) -> None:
-        for lane in coordinator.lanes:
-            self._look_at_lane(lane)
-        watch = self._turns.get(coordinator.name)
+        for run in coordinator.scheduler.runs:
+            self._look_at_run(run)
+        watch = self._dispatches.get(coordinator.name)
         if watch is None:
             return
         watch.look()
@@ -446,10 +437,10 @@ class SimulationChecker:
         if self._stage.calm_seconds > SETTLED_DOWN and coordinator.is_running:
             watch.look_at_members({worker.wid for worker in self._stage.of(Worker)})
 
-    def _look_at_lane(self, lane: ActiveRun) -> None:
+    def _look_at_run(self, run: ActiveRun) -> None:
         """Check what the outbox keeps."""
-        assert isinstance(lane.record, RecorderClient)
-        box, plan = lane.record._outbox, self._stage.plans[lane.run]
+        assert isinstance(run.sink, RecorderClient)
+        box, plan = run.sink._outbox, self._stage.plans[run.name]
         size = self._stage.task.shape.dtype.itemsize
         most = plan.in_flight * plan.population * (1 + plan.trials)
         require(
@@ -458,20 +449,18 @@ class SimulationChecker:
             "outbox:",
             box.unconfirmed,
         )
-        require(
-            len(lane.pipeline._reasons) <= most, "bounded memory", "reasons:", len(lane.pipeline._reasons)
-        )
-        durable = self._stage.disk.files[lane.run].count
+        require(len(run.pipeline._reasons) <= most, "bounded memory", "reasons:", len(run.pipeline._reasons))
+        durable = self._stage.disk.files[run.name].count
         if not self._stage.disk.was_restored:
             kept = durable if not box._kept else box._kept[0].first
             require(
                 kept <= durable, "recorded before forgotten", f"{kept} is forgotten, {durable} are durable"
             )
         _look_at_kept(box)
-        for stretch in box._kept if self._pushed.get(lane) != box._end else ():
-            expected = self._stage.journals[lane.run][stretch.first * size : stretch.stop * size]
-            require(stretch.rows.tobytes() == expected, "told in order", f"{lane.run}: from {stretch.first}")
-        self._pushed[lane] = box._end
+        for stretch in box._kept if self._pushed.get(run) != box._end else ():
+            expected = self._stage.journals[run.name][stretch.first * size : stretch.stop * size]
+            require(stretch.rows.tobytes() == expected, "told in order", f"{run.name}: from {stretch.first}")
+        self._pushed[run] = box._end
 
     def _look_at_recorder(self, recorder: SimulatedRecorder) -> None:
         if recorder.recorder is not None:
@@ -488,7 +477,7 @@ class SimulationChecker:
         self._look_at_fence(worker, session)
         held = len(session.held)
         if held > CREDIT and not self._stage.is_lossy:
-            unknown = sum(watch.taken_back[worker.wid] for watch in self._turns.values())
+            unknown = sum(watch.taken_back[worker.wid] for watch in self._dispatches.values())
             require(held <= CREDIT + unknown, "bounded work", worker.name, f"holds {held}")
         known = {task.work.batch for task in worker.supervisor.tasks} | set(session.held)
         require(session._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")

@@ -1,4 +1,4 @@
-"""Whatever happens to machines, links and disks: every invariant holds, and mutations are noticed."""
+"""Every invariant holds under faults of machines, links and disks; mutations are noticed."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -7,7 +7,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from tests.coordinator.scheduler.leases import ANN, EPOCH, settle, with_work
+from tests.coordinator.scheduler.leases import ANN, EPOCH, Dispatch, join_message, settle, with_work
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan, Task, evaluate, reference
 from tests.coordinator.search import synthetic_scene
 from tests.coordinator.search.synthetic_scene import plain
@@ -18,8 +18,8 @@ from tests.simulation.play import Verdict, play
 from tests.simulation.process import INVARIANTS
 
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
-from qdgrasp_coordinator.scheduler.dispatcher import BatchTable, Dispatcher
-from qdgrasp_coordinator.scheduler.job_scheduler import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.dispatcher import BatchTable
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_coordinator.search.aimed import FIRST_SCOUTS
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import AIMED, PAPER, Method
@@ -30,7 +30,7 @@ from qdgrasp_protocol.spec import Overlaps, RunSpec
 from qdgrasp_worker.runtime.job_registry import RETRY_FIRST, JobSession
 
 
-def leased(dispatch: Dispatcher) -> bytes:
+def leased(dispatch: Dispatch) -> bytes:
     return dispatch.leases(0.0)[0].batch.id
 
 
@@ -44,18 +44,18 @@ def test_a_result_for_another_coordinator_of_the_same_epoch_settles_nothing() ->
 
 
 def test_a_worker_whose_token_comes_seconds_after_its_question_is_not_forgotten() -> None:
-    dispatch = with_work()
-    dispatch.expect(ANN, 0.0)
-    assert dispatch.tick(5.0) == []
+    dispatch = with_work(workers=())
+    dispatch.join(join_message(ANN), 0.0)
+    assert dispatch.give_up(5.0) == []
     assert dispatch.leases(5.0) == []
-    dispatch.back(ANN, 5.0)
+    dispatch.workers.on_token(ANN, True, 5.0)
     assert len(dispatch.leases(5.0)) == 2
 
 
 def test_a_worker_whose_token_never_comes_is_forgotten() -> None:
-    dispatch = with_work()
-    dispatch.expect(ANN, 0.0)
-    assert [lost.wid for lost in dispatch.tick(60.0)] == [ANN]
+    dispatch = with_work(workers=())
+    dispatch.join(join_message(ANN), 0.0)
+    assert [lost.worker.wid for lost in dispatch.give_up(60.0)] == [ANN]
 
 
 def test_a_worker_joins_the_coordinator_that_is_left_when_the_one_that_answered_is_gone() -> None:
@@ -192,7 +192,7 @@ def aimed_task(overlaps: Overlaps) -> Task:
 
 
 SEARCHES = {entry.build: entry for entry in PAPER}.values()
-"""One method of each search: what tells the others apart, the prior, is not in these histories."""
+"""One method of each search: the prior, which tells the others apart, is not simulated."""
 
 
 @pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name)
@@ -231,7 +231,7 @@ def test_an_invariant_that_is_not_to_notice_a_mutation_does_not_count() -> None:
         raise ZeroDivisionError
 
     for invariants, count in ((("settled once",), None), (("no machine fails",), 1)):
-        mutation = Mutation("fail", "5", invariants, lambda: [patch.object(BatchTable, "judge", fail)])
+        mutation = Mutation("fail", "5", invariants, lambda: [patch.object(BatchTable, "classify", fail)])
         found = noticed(mutation, most=3)
         assert (found and found[1]) == count
 
@@ -267,7 +267,7 @@ class Listener:
 
 
 class Pair:
-    """Somebody who sends, and somebody who hears."""
+    """A sender and a receiver."""
 
     def __init__(self, terms: Terms) -> None:
         self.world = World(1)

@@ -1,4 +1,4 @@
-"""How busy 10 to 10 000 workers are kept, and how old the state is that a genome was made from."""
+"""Utilisation of 10 to 10 000 workers, and the age of the state behind a genome."""
 
 import csv
 import heapq
@@ -14,10 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
-from qdgrasp_coordinator.scheduler.batch_queue import Lease
+from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef
 from qdgrasp_coordinator.scheduler.dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
-from qdgrasp_protocol.messages import Result
+from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
+from qdgrasp_protocol.messages import VERSION, Join, Result
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
 
 SHAPE = RowShape(genes=1, joints=0, descriptors=3)
@@ -25,7 +26,7 @@ CREDIT = 2
 LATENCY = 0.002
 """Seconds that a message takes."""
 HANDLING = 50e-6
-"""What a batch takes of the coordinator's thread [s]."""
+"""Time of the coordinator's thread per batch [s]."""
 AT_ONCE = 256
 """Messages that it takes between two looks at what may be leased."""
 LEASE = 4.0
@@ -52,7 +53,7 @@ class Crew:
 
 @dataclass(frozen=True)
 class Task:
-    """What they work on."""
+    """The runs that the workers carry out."""
 
     runs: int = 1
     population: int = 500
@@ -62,7 +63,7 @@ class Task:
 
 @dataclass
 class Figures:
-    """What was seen of a fleet."""
+    """Measured figures of a fleet."""
 
     utilisation: float
     """The share of the workers' time that went into rows that count."""
@@ -118,7 +119,8 @@ class Fleet:
         self._useful: list[tuple[float, float, int]] = []
         """When batches were settled, what they took, and their rows."""
         self._leased: list[tuple[float, int]] = []
-        self._dispatch = Dispatcher(1, task.batch_size)
+        self._workers = WorkerRegistry()
+        self._dispatcher = Dispatcher(1, self._workers, task.batch_size)
         self._pipelines = {
             f"run-{n}": Pipeline(Timed(task.population, self), SHAPE, MANY, "count", task.in_flight)
             for n in range(task.runs)
@@ -167,35 +169,35 @@ class Fleet:
     # The coordinator.
 
     def _turn(self) -> None:
-        """Hear what came, and do what can be done, as the service does."""
+        """Process what came, and do what can be done, as the service does."""
         n = min(len(self._inbox), AT_ONCE)
         for _ in range(n):
             self._inbox.popleft()()
         self._at(self.now + n * HANDLING, self._step)
 
     def _step(self) -> None:
-        self._dispatch.tick(self.now)
+        for lost in self._workers.overdue(self.now):
+            self._dispatcher.requeue(lost.batches)
         self._ask()
-        for lease in self._dispatch.leases(self.now):
+        for lease in self._dispatcher.leases(self.now):
             self._at(self.now + LATENCY, lambda lease=lease: self._take(lease))  # type: ignore[misc]
-        self._leased.append((self.now, self._dispatch.counters["leased"] - len(self._useful)))
+        self._leased.append((self.now, self._dispatcher.counters["leased"] - len(self._useful)))
         self._is_at_work = bool(self._inbox)
         if self._inbox:
             self._at(self.now, self._turn)
-        elif self._dispatch.next_deadline() < inf:
-            self._at(max(self.now, self._dispatch.next_deadline()) + 0.01, lambda: self._arrive(_nothing))
+        elif self._workers.next_deadline() < inf:
+            self._at(max(self.now, self._workers.next_deadline()) + 0.01, lambda: self._arrive(_nothing))
 
     def _ask(self) -> None:
         """Queue what may be asked; what rows cost is known from the first one on."""
-        is_first = not self._dispatch._backlog._queues
+        waiting = self._dispatcher._queue._runs
+        is_first = not waiting
         told, self._told = self._told, set()
         for run in sorted(told):
             while (asked := self._pipelines[run].ask()) is not None:
-                self._dispatch.submit(
-                    run, "scene", "prior", asked.number, asked.indices, asked.trials, asked.genomes
-                )
-        for queue in self._dispatch._backlog._queues.values() if is_first else ():
-            queue.pace.measure(50, 50 * self._crew.row_seconds)
+                self._dispatcher.submit(RunRef(run, "scene", "prior"), asked)
+        for rows in waiting.values() if is_first else ():
+            rows.sizer.measure(50, 50 * self._crew.row_seconds)
 
     def _settle(self, hand: Hand, lease: Lease, seconds: float) -> None:
         batch = lease.batch
@@ -203,8 +205,8 @@ class Fleet:
         rows["outcome"] = Outcome.MISSED
         result = Result(
             epoch=1,
-            run=batch.run,
-            generation=batch.generation,
+            run=batch.run.run,
+            generation=batch.rows.number,
             batch=batch.id,
             attempt=lease.attempt,
             wid=hand.wid,
@@ -214,10 +216,10 @@ class Fleet:
             columns={},
             cpu_seconds=seconds,
         )
-        settled = self._dispatch.settle(hand.wid, result, rows, self.now)
+        settled = self._dispatcher.settle(hand.wid, result, rows, self.now)
         if settled.rows is not None:
-            self._pipelines[batch.run].settle(settled.rows, seconds)
-            self._told.add(batch.run)
+            self._pipelines[batch.run.run].settle(settled.rows, seconds)
+            self._told.add(batch.run.run)
             self._useful.append((self.now, seconds, len(batch)))
         if settled.superseded is not None and settled.superseded in self._hands:
             self._hands[settled.superseded].pending.pop(batch.id, None)
@@ -243,9 +245,19 @@ class Fleet:
         self._send(lambda: self._admit(hand))
 
     def _admit(self, hand: Hand) -> None:
-        for batch in self._dispatch.join(hand.wid, hand.number, CREDIT, list(hand.pending), self.now):
+        self._workers.on_token(hand.wid, True, self.now)
+        join = Join(
+            versions=[VERSION],
+            wid=hand.wid,
+            number=hand.number,
+            credit=CREDIT,
+            held=list(hand.pending),
+            host="",
+            pid=1,
+            platform={},
+        )
+        for batch in self._dispatcher.join(join, self.now):
             hand.pending.pop(batch, None)
-        self._dispatch.back(hand.wid, self.now)
 
     def _take(self, lease: Lease) -> None:
         """A worker evaluates a batch, behind what it has."""
@@ -272,8 +284,11 @@ class Fleet:
     def _die(self, hand: Hand) -> None:
         hand.is_over = True
         del self._hands[hand.wid]
-        self._send(lambda: self._dispatch.gone(hand.wid, self.now))
+        self._send(lambda: self._lose_token(hand))
         self._at(self.now + REPLACED, self._hire)
+
+    def _lose_token(self, hand: Hand) -> None:
+        self._workers.on_token(hand.wid, False, self.now)
 
     def _freeze(self, hand: Hand) -> None:
         """Stand still; the token vanishes, and with the link back the worker joins again."""
@@ -281,7 +296,7 @@ class Fleet:
             return
         hand.pending = {batch: due + FROZEN for batch, due in hand.pending.items()}
         hand.free_at = max(hand.free_at, self.now) + FROZEN
-        self._at(self.now + LEASE, lambda: self._send(lambda: self._dispatch.gone(hand.wid, self.now)))
+        self._at(self.now + LEASE, lambda: self._send(lambda: self._lose_token(hand)))
         self._at(self.now + FROZEN, lambda: self._thaw(hand))
         self._at(self.now + FROZEN + self._time(self._crew.freeze), lambda: self._freeze(hand))
 
@@ -308,7 +323,7 @@ class Panel:
     name: str
     sizes: tuple[int, ...]
     seconds: float
-    """What a point takes at least."""
+    """Least duration of a point."""
     most: int
     """Batches that a point takes at most, beside two for each worker."""
 

@@ -17,7 +17,7 @@ from tests.coordinator.scheduler.search_plans import Task
 from tests.simulation.network import Network, World
 from tests.simulation.process import Life, Listen, Process
 
-from qdgrasp_coordinator.scheduler.job_scheduler import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel, Declaration, Sample
 from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError
@@ -73,7 +73,7 @@ class Mishaps:
     failed: Counter[bytes] = field(default_factory=Counter)
 
     def strikes(self, row: np.void) -> bool:
-        """Whether a simulator fails on a row now."""
+        """True if a simulator fails on a row now."""
         key = row["genome"].tobytes() + row["trial"].tobytes()
         if self.failed[key] < 2 and self.chance.random() < self.rate:
             self.failed[key] += 1
@@ -83,14 +83,14 @@ class Mishaps:
 
 @dataclass(frozen=True)
 class Speed:
-    """How fast a simulator is."""
+    """Speed of a simulator."""
 
     row_seconds: float
     rows_at_once: int
 
 
 class Formula:
-    """What a worker has of a simulator's process.
+    """A simulator process as a worker sees it.
 
     Parameters
     ----------
@@ -221,12 +221,12 @@ KEYS = Keys(JOB)
 GRACE = 1.5
 FETCH_SECONDS = 5.0
 CREDIT = 2
-"""What a worker asks for; a job that shares it with others gets less."""
+"""Batches that a worker asks for; a job that shares it with others gets fewer."""
 
 
 @dataclass
 class Line:
-    """What a worker's service needs of a bus."""
+    """The part of a bus that a worker's service needs."""
 
     host: "Worker"
 
@@ -352,7 +352,7 @@ def _event(event: object) -> Event:
 
 
 class Forger(Process):
-    """Somebody with a worker's certificate, who answers with nonsense what others were leased."""
+    """A process with a worker's certificate that forges results of others' leases."""
 
     def __init__(self, world: World, network: Network, wid: str) -> None:
         self._wid = wid

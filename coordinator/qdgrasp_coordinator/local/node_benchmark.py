@@ -92,15 +92,13 @@ class SceneBenchmark:
         restarts, steps = RestartPolicy(processes, self._display), self._steps(processes, endpoint)
 
         def step(now: float) -> None:
-            restarts.note_progress(service.figures(now))
+            restarts.note_progress(service.status(now))
             restarts.check(now)
             if next(steps, _END) is _END:
                 over.set(0)
 
         queue = SingleRunQueue(lambda: self._plan, ENDLESS)
-        service = CoordinatorService(
-            bus, over, job=BENCH_JOB, programme=queue, make_record=lambda _: self._sink
-        )
+        service = CoordinatorService(bus, over, job=BENCH_JOB, queue=queue, make_sink=lambda _: self._sink)
         with bus.subscribe(Keys(BENCH_JOB).result(), self._meter.add):
             service.run(step)
         if stop.is_set:

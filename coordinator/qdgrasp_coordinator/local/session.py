@@ -66,11 +66,11 @@ class LocalSession:
         and RunsFailed if runs could not be carried out.
         """
         service = CoordinatorService(
-            self.bus, stop, job=self.job, programme=queue, make_record=make_record, batch_size=batch_size
+            self.bus, stop, job=self.job, queue=queue, make_sink=make_record, batch_size=batch_size
         )
 
         def step(now: float) -> None:
-            figures = service.figures(now)
+            figures = service.status(now)
             self.restarts.note_progress(figures)
             self.restarts.check(now)
             self.display.show(figures)

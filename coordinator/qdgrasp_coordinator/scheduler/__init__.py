@@ -1,1 +1,1 @@
-"""The coordinator: runs, batches, workers and leases, and what it hears and tells on the bus."""
+"""The coordinator: runs, batches, workers and leases, and its messages on the bus."""

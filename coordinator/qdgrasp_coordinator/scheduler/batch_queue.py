@@ -9,14 +9,21 @@ from math import ceil, sqrt
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from qdgrasp_coordinator.metrics.arrays import take_rows
+from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, shorten
-from qdgrasp_protocol.rows import RESULT, Genomes, Outcome, Rows, RowShape, unpack
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack
 
-GREATEST_OUTCOME = int(max(Outcome))
+
+@dataclass(frozen=True)
+class RunRef:
+    """A run, as far as its batches name it."""
+
+    run: str
+    scene: str
+    """The scene bundle's sha256."""
+    prior: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,36 +32,13 @@ class Batch:
 
     id: bytes
     """16 bytes: random ones of the epoch and a counter, not used again in the job."""
-    run: str
-    scene: str
-    """The scene bundle's sha256."""
-    prior: str
-    generation: int
-    indices: NDArray[np.uint32]
-    """(n,)."""
-    trials: NDArray[np.uint16]
-    """(n,)."""
-    genomes: Genomes
-    """(n, d)."""
+    run: RunRef
+    rows: Generation
     failed: int = 0
     """Failures of the simulator on it; such a row is alone in its batch."""
 
     def __len__(self) -> int:
-        return len(self.indices)
-
-    def part(self, batch_id: bytes, places: slice, failed: int = 0) -> "Batch":
-        """Some of its rows as another batch."""
-        return Batch(
-            batch_id,
-            self.run,
-            self.scene,
-            self.prior,
-            self.generation,
-            self.indices[places],
-            self.trials[places],
-            self.genomes[places],
-            failed,
-        )
+        return len(self.rows)
 
 
 @dataclass(frozen=True)
@@ -70,22 +54,22 @@ class Lease:
 
     def work(self, epoch: int) -> Work:
         """Return the message to the worker."""
-        batch = self.batch
+        run, rows = self.batch.run, self.batch.rows
         return Work(
             epoch=epoch,
-            run=batch.run,
-            scene=batch.scene,
-            prior=batch.prior,
-            generation=batch.generation,
-            batch=batch.id,
+            run=run.run,
+            scene=run.scene,
+            prior=run.prior,
+            generation=rows.number,
+            batch=self.batch.id,
             attempt=self.attempt,
             join=self.join,
-            n=len(batch),
-            genes=batch.genomes.shape[1],
+            n=len(rows),
+            genes=rows.genomes.shape[1],
             columns={
-                "index": batch.indices.astype("<u4").tobytes(),
-                "trial": batch.trials.astype("<u2").tobytes(),
-                "genome": batch.genomes.astype("<f4").tobytes(),
+                "index": rows.indices.astype("<u4").tobytes(),
+                "trial": rows.trials.astype("<u2").tobytes(),
+                "genome": rows.genomes.astype("<f4").tobytes(),
             },
         )
 
@@ -120,16 +104,14 @@ class SettleReply:
     """Another holder of the batch, which is to drop it; its credit is free already."""
 
 
-def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> Rows:
-    """Return result rows with the batch's keys and genomes; failed rows hold zeros."""
-    rows = take_rows(rows, np.s_[:])
+def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
+    """Fill the batch's keys and genomes into result rows; failed rows then hold zeros else."""
     if failed:
         rows[list(failed)] = np.zeros((), dtype=rows.dtype)
-    rows["generation"] = batch.generation
-    rows["index"] = batch.indices
-    rows["trial"] = batch.trials
-    rows["genome"] = batch.genomes
-    return rows
+    rows["generation"] = batch.rows.number
+    rows["index"] = batch.rows.indices
+    rows["trial"] = batch.rows.trials
+    rows["genome"] = batch.rows.genomes
 
 
 def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
@@ -137,18 +119,16 @@ def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
     if len(result.failures) == result.n:
         return result, shape.empty(result.n)
     try:
-        return result, _unpack_result(result, shape)
+        rows = unpack(shape.empty(result.n), RESULT, result.columns, shape)
+        greatest = int(rows["outcome"].max())
+        if greatest > max(Outcome):
+            raise MessageError(
+                f"column 'outcome' holds {greatest}, and outcomes end with {int(max(Outcome))}"
+            )
     except MessageError as error:
         failures = [Failure(row=row, reason=shorten(str(error))) for row in range(result.n)]
         return msgspec.structs.replace(result, failures=failures), shape.empty(result.n)
-
-
-def _unpack_result(result: Result, shape: RowShape) -> Rows:
-    rows = unpack(shape.empty(result.n), RESULT, result.columns, shape)
-    greatest = int(rows["outcome"].max())
-    if greatest > GREATEST_OUTCOME:
-        raise MessageError(f"column 'outcome' holds {greatest}, and outcomes end with {GREATEST_OUTCOME}")
-    return rows
+    return result, rows
 
 
 BATCH_SECONDS = 0.25  # Target duration of a batch [s]
@@ -160,13 +140,7 @@ _MEMORY = 0.9
 
 
 class BatchSizer:
-    """The size of one run's batches.
-
-    Parameters
-    ----------
-    fixed
-        Rows in a batch; None: measured.
-    """
+    """Size of one run's batches: `fixed` rows; None: measured."""
 
     def __init__(self, fixed: int | None = None) -> None:
         self._fixed = fixed
@@ -183,18 +157,11 @@ class BatchSizer:
         self._seconds = _MEMORY * self._seconds + cpu_seconds
         self._rows = _MEMORY * self._rows + rows
 
-    def rows(self, remaining: int, workers: int, runs: int = 1) -> int:
-        """Rows in the next batch.
+    def next_size(self, remaining: int, workers: int, runs: int = 1) -> int:
+        """Return the number of rows of the next batch.
 
-        Parameters
-        ----------
-        remaining
-            Rows of the generation that are not leased; at least 1.
-        workers
-            Workers that share these and as many rows of the other runs: none is to get more than its part of
-            half of them, so that all of them are done at about the same time.
-        runs
-            How many runs are under way; at least 1.
+        The workers share the `remaining` rows of the generation, and as many of the other `runs` under way.
+        Each gets at most its part of half of them, so that all are done at about the same time.
         """
         if self._fixed is not None:
             return min(self._fixed, remaining)
@@ -221,126 +188,98 @@ SCENE_SLACK = 5.0  # CPU seconds that a run may be ahead of others on workers th
 
 
 class BatchQueue:
-    """Cuts rows into batches, and takes batches back that are to be leased again.
-
-    Parameters
-    ----------
-    batch_size
-        Rows in a batch; None: measured.
-    """
+    """Cuts rows into batches, and takes batches back that are to be leased again."""
 
     def __init__(self, batch_size: int | None) -> None:
-        self._turn = secrets.token_bytes(8)
+        self._prefix = secrets.token_bytes(8)
         self._batch_size = batch_size
-        self._queues: dict[str, _RunBatches] = {}
+        self._runs: dict[str, _RunBatches] = {}
         self._cut = 0
         self._served = 0.0
 
     def __bool__(self) -> bool:
         """True if rows wait."""
-        return any(self._queues.values())
+        return any(self._runs.values())
 
     @property
     def seconds(self) -> float:
         """Expected cost of the waiting rows [CPU s]."""
-        return sum(len(queue) * (queue.pace.seconds_per_row or FIRST_COST) for queue in self._queues.values())
+        return sum(len(rows) * (rows.sizer.seconds_per_row or FIRST_COST) for rows in self._runs.values())
 
-    def submit(self, chunk: Batch) -> None:
+    def submit(self, run: RunRef, generation: Generation) -> None:
         """Take rows of one generation that were never leased."""
-        queue = self._queues.setdefault(chunk.run, _RunBatches(BatchSizer(self._batch_size)))
-        if not queue:
-            queue.served = max(queue.served, self._served)
-        queue.chunks.append(chunk)
+        waiting = self._runs.setdefault(run.run, _RunBatches(run, BatchSizer(self._batch_size)))
+        if not waiting:
+            waiting.served = max(waiting.served, self._served)
+        waiting.uncut.append(generation)
 
     def withdraw(self, run: str) -> None:
         """Forget a run."""
-        self._queues.pop(run, None)
+        self._runs.pop(run, None)
 
-    def turn(self, scenes: Collection[str]) -> str | None:
-        """Return the run served least, or within the slack one with a held scene; None: no rows.
-
-        Parameters
-        ----------
-        scenes
-            Those that the worker holds.
-        """
-        least = at_hand = None
-        for run, queue in self._queues.items():
-            if queue and (least is None or queue.served < least[0]):
-                least = (queue.served, run)
-            if queue and queue.scene in scenes and (at_hand is None or queue.served < at_hand[0]):
-                at_hand = (queue.served, run)
-        if least is None:
+    def next_run(self, scenes: Collection[str]) -> str | None:
+        """Return the run served least, or within the slack one whose scene is held; None: no rows."""
+        waiting = [rows for rows in self._runs.values() if rows]
+        if not waiting:
             return None
-        return at_hand[1] if at_hand and at_hand[0] <= least[0] + SCENE_SLACK else least[1]
+        least = min(waiting, key=lambda rows: rows.served)
+        held = (rows for rows in waiting if rows.run.scene in scenes)
+        least_held = min(held, key=lambda rows: rows.served, default=least)
+        return (least_held if least_held.served <= least.served + SCENE_SLACK else least).run.run
 
-    def take(self, run: str, workers: int) -> Batch:
-        """Return the next batch of a waiting run: one put back, or a new one.
-
-        Parameters
-        ----------
-        workers
-            Workers that share the runs.
-        """
-        queue = self._queues[run]
-        batch = queue.take_back() or self._cut_batch(queue, workers)
-        self._served = queue.served
-        queue.served += len(batch) * (queue.pace.seconds_per_row or 0.0)
+    def pop(self, run: str, workers: int) -> Batch:
+        """Return the next batch of a waiting run: one queued again, or a new one."""
+        waiting = self._runs[run]
+        if waiting.again:
+            batch = waiting.again.pop(next(iter(waiting.again)))
+        else:
+            rows = waiting.uncut.popleft()
+            n = waiting.sizer.next_size(len(rows), workers, len(self._runs))
+            if n < len(rows):
+                waiting.uncut.appendleft(rows[n:])
+            batch = Batch(self._new_id(), waiting.run, rows[:n])
+        self._served = waiting.served
+        waiting.served += len(batch) * (waiting.sizer.seconds_per_row or 0.0)
         return batch
 
-    def put_back(self, batch: Batch) -> None:
+    def requeue(self, batch: Batch) -> None:
         """Have a batch leased again, before anything new of its run."""
-        self._queues[batch.run].back[batch.id] = batch
+        self._runs[batch.run.run].again[batch.id] = batch
 
-    def put_back_row(self, batch: Batch, place: int) -> None:
+    def requeue_row(self, batch: Batch, place: int) -> None:
         """Queue a row on which the simulator failed again, as a batch of its own."""
-        self.put_back(batch.part(self._new_id(), slice(place, place + 1), batch.failed + 1))
+        self.requeue(Batch(self._new_id(), batch.run, batch.rows[place : place + 1], batch.failed + 1))
 
     def remove(self, batch: Batch) -> None:
-        """Forget a batch that was put back, if it still waits."""
-        if batch.run in self._queues:
-            self._queues[batch.run].back.pop(batch.id, None)
+        """Forget a batch that was queued again, if it still waits."""
+        if batch.run.run in self._runs:
+            self._runs[batch.run.run].again.pop(batch.id, None)
 
     def measure(self, batch: Batch, cpu_seconds: float) -> None:
         """Record the cost of a batch."""
-        self._queues[batch.run].pace.measure(len(batch), cpu_seconds)
-
-    def _cut_batch(self, queue: "_RunBatches", workers: int) -> Batch:
-        """A new batch of the oldest generation."""
-        chunk = queue.chunks.popleft()
-        n = queue.pace.rows(len(chunk), workers, len(self._queues))
-        if n < len(chunk):
-            queue.chunks.appendleft(chunk.part(b"", slice(n, None)))
-        return chunk.part(self._new_id(), slice(n))
+        self._runs[batch.run.run].sizer.measure(len(batch), cpu_seconds)
 
     def _new_id(self) -> bytes:
         """Return an id that stays unique if an epoch recurs, as after a disk was restored."""
         self._cut += 1
-        return self._turn + self._cut.to_bytes(8)
+        return self._prefix + self._cut.to_bytes(8)
 
 
 @dataclass
 class _RunBatches:
     """Waiting rows of a run."""
 
-    pace: BatchSizer
-    chunks: deque[Batch] = field(default_factory=deque)
-    """Rows that were never leased, of a generation each, without an id."""
-    back: dict[bytes, Batch] = field(default_factory=dict)
+    run: RunRef
+    sizer: BatchSizer
+    uncut: deque[Generation] = field(default_factory=deque)
+    """Rows that were never leased, of a generation each."""
+    again: dict[bytes, Batch] = field(default_factory=dict)
     """Batches that are to be leased again, by id."""
     served: float = 0.0
     """CPU seconds leased so far; raised to the others' level when the run waits again."""
 
     def __len__(self) -> int:
-        return sum(map(len, self.chunks)) + sum(map(len, self.back.values()))
+        return sum(map(len, self.uncut)) + sum(map(len, self.again.values()))
 
     def __bool__(self) -> bool:
-        return bool(self.chunks or self.back)
-
-    @property
-    def scene(self) -> str:
-        return (next(iter(self.back.values())) if self.back else self.chunks[0]).scene
-
-    def take_back(self) -> Batch | None:
-        """Remove and return the batch put back first; None: empty."""
-        return self.back.pop(next(iter(self.back))) if self.back else None
+        return bool(self.uncut or self.again)

@@ -1,13 +1,13 @@
 """The pipeline of one run: orders asks and tells, and ends the run with its budget.
 
-Results arrive in any order; the search hears them generation by generation, and the journal is that order:
+Results arrive in any order; the search is told generation by generation, and the journal is that order:
 by generation, within it nominal rows by index, then the trials of successes by (index, trial). Pure state:
 whatever came in between, the rows that become final, and what the search is asked, are a function of the
 spec (docs/reproducibility.md).
 """
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,18 +40,18 @@ class Generation:
     genomes: Genomes
     """(n, d)."""
 
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, places: slice) -> "Generation":
+        return Generation(self.number, self.indices[places], self.trials[places], self.genomes[places])
+
 
 class GenerationBuffer:
     """One generation that is asked and not yet told.
 
-    The journal has its nominal rows by index, then the trials of its successes by (index, trial).
-
-    Parameters
-    ----------
-    limit
-        Most nominal rows needed, from index 0 on.
-    trials
-        Number of trials of a success.
+    The journal has its nominal rows by index, then the trials of its successes by (index, trial). At most
+    `limit` nominal rows are needed, from index 0 on; a success has `trials` trials.
     """
 
     final: int = 0
@@ -68,18 +68,18 @@ class GenerationBuffer:
         self._rows["generation"][:, 0] = number
         self._rows["index"][:, 0] = np.arange(len(genomes))
         self._rows["genome"][:, 0] = genomes
-        self._here = np.zeros((self._nominal, 1 + trials), dtype=bool)
+        self._is_present = np.zeros((self._nominal, 1 + trials), dtype=bool)
         self._is_success = np.zeros(self._nominal, dtype=bool)
         self._handed_out = False
         self._opened = 0
         """Nominal rows, from index 0 on, whose trials were handed out where they are successes."""
 
     @property
-    def told(self) -> Rows:
+    def rows_for_tell(self) -> Rows:
         """Nominal rows as told to the search: fitness is summed over a success's trials."""
         rows = take_rows(self._rows, np.s_[:, 0])
         if self._trials:
-            found = self._found
+            found = self._successes
             rows["fitness"][found] = self._rows["fitness"][found, 1:].sum(axis=1)
         return rows
 
@@ -91,7 +91,7 @@ class GenerationBuffer:
     @property
     def is_complete(self) -> bool:
         """True if every row that the journal is to hold is final."""
-        return not self.missing and self.final == self._nominal + self._trials * len(self._found)
+        return not self.missing and self.final == self._nominal + self._trials * len(self._successes)
 
     def hand_out(self) -> Generation | None:
         """Return missing rows not handed out before; None: nothing to hand out now.
@@ -100,56 +100,54 @@ class GenerationBuffer:
         """
         if not self._handed_out:
             self._handed_out = True
-            indices = np.flatnonzero(~self._here[: self._nominal, 0])
+            indices = np.flatnonzero(~self._is_present[: self._nominal, 0])
             if len(indices):
                 return self._to_evaluate(indices, np.zeros_like(indices))
         return self._hand_out_trials() if self._trials else None
 
     def _hand_out_trials(self) -> Generation | None:
-        gapless = _gapless(self._here[self._opened : self._nominal, 0])
+        gapless = _count_before_gap(self._is_present[self._opened : self._nominal, 0])
         found = self._opened + np.flatnonzero(self._is_success[self._opened :][:gapless])
         self._opened += gapless
-        places, trials = np.nonzero(~self._here[found, 1:])
+        places, trials = np.nonzero(~self._is_present[found, 1:])
         return self._to_evaluate(found[places], trials + 1) if len(places) else None
 
-    def place(self, rows: Rows) -> None:
+    def put(self, rows: Rows) -> None:
         """Put rows in their places; those that are here already, or were not asked, are ignored."""
         indices, trials = rows["index"].astype(np.int64), rows["trial"].astype(np.int64)
         is_new = self._is_asked(indices, trials)
-        is_new[is_new] = ~self._here[indices[is_new], trials[is_new]]
+        is_new[is_new] = ~self._is_present[indices[is_new], trials[is_new]]
         first = np.flatnonzero(is_new)[::-1]  # of equal places the last one written stays
-        self._put(take_rows(rows, first), indices[first], trials[first])
+        self._store(take_rows(rows, first), indices[first], trials[first])
 
     @property
-    def has_arrived(self) -> bool:
+    def has_ready_row(self) -> bool:
         """True if the row behind the final ones is here."""
         if self.missing:
-            return bool(self._here[self.final, 0])
+            return bool(self._is_present[self.final, 0])
         indices, trials = self._next(1)
-        return bool(self._here[indices, trials].any())
+        return bool(self._is_present[indices, trials].any())
 
-    def arrived(self) -> Rows:
+    def ready_rows(self) -> Rows:
         """Rows behind the final ones, up to the first that is missing: nominal ones, or else trials."""
         if self.missing:
-            n = _gapless(self._here[self.final : self._nominal, 0][:MOST_FINAL])
+            n = _count_before_gap(self._is_present[self.final : self._nominal, 0][:MOST_FINAL])
             return take_rows(self._rows, np.s_[self.final : self.final + n, 0])
         indices, trials = self._next(MOST_FINAL)
-        n = _gapless(self._here[indices, trials])
+        n = _count_before_gap(self._is_present[indices, trials])
         return take_rows(self._rows, (indices[:n], trials[:n]))
 
-    def cut(self) -> None:
+    def truncate(self) -> None:
         """Drop the nominal rows behind the final ones: budget or goal is reached."""
         self._nominal = min(self._nominal, self.final)
 
     def replay(self, rows: Rows) -> None:
         """Take what belongs here of recorded rows that begin behind the final ones.
 
-        Raises
-        ------
-        ReplayError
-            Keys or genomes differ from those asked, in any bit.
+        Raises ReplayError if keys or genomes differ from those asked, in any bit.
         """
-        nominal = _gapless(rows["trial"] == 0)  # where the budget ends a generation, trials follow early
+        # Where the budget ends a generation, trials follow early.
+        nominal = _count_before_gap(rows["trial"] == 0)
         indices, trials = self._next(max(1, nominal) if self.missing else len(rows))
         recorded = rows[: len(indices)]
         asked = self._rows[indices[: len(recorded)], 0]
@@ -157,16 +155,16 @@ class GenerationBuffer:
         for column in ("generation", "index", "trial", "genome"):
             if asked[column].tobytes() != recorded[column].tobytes():
                 raise ReplayError(self._mismatch(asked, recorded, column))
-        self._put(recorded, indices[: len(recorded)], trials[: len(recorded)])
+        self._store(recorded, indices[: len(recorded)], trials[: len(recorded)])
 
     @property
-    def _found(self) -> Places:
+    def _successes(self) -> Places:
         """The successes among the nominal rows that the journal is to hold, by index."""
         return np.flatnonzero(self._is_success[: self._nominal])
 
     def _is_asked(self, indices: Places, trials: Places) -> NDArray[np.bool_]:
         """Mask of places of this generation: nominal rows, and trials handed out."""
-        is_known: NDArray[np.bool_] = (indices < len(self._here)) & (trials <= self._trials)
+        is_known: NDArray[np.bool_] = (indices < len(self._is_present)) & (trials <= self._trials)
         if not self._trials:
             return is_known
         safe = np.where(is_known, indices, 0)
@@ -177,9 +175,9 @@ class GenerationBuffer:
         genomes = self._rows["genome"][indices, 0]
         return Generation(self.number, indices.astype(np.uint32), trials.astype(np.uint16), genomes)
 
-    def _put(self, rows: Rows, indices: Places, trials: Places) -> None:
+    def _store(self, rows: Rows, indices: Places, trials: Places) -> None:
         self._bytes[indices, trials] = row_bytes(rows)
-        self._here[indices, trials] = True
+        self._is_present[indices, trials] = True
         nominal = indices[trials == 0]
         self._is_success[nominal] = self._rows["outcome"][nominal, 0] >= Outcome.DROPPED
 
@@ -188,7 +186,7 @@ class GenerationBuffer:
         if self.missing:
             indices = np.arange(self.final, min(self.final + most, self._nominal))
             return indices, np.zeros_like(indices)
-        found, first = self._found, self.final - self._nominal
+        found, first = self._successes, self.final - self._nominal
         places = np.arange(first, min(first + most, self._trials * len(found)))
         return found[places // max(1, self._trials)], 1 + places % max(1, self._trials)
 
@@ -202,9 +200,9 @@ class GenerationBuffer:
         )
 
 
-def _gapless(here: NDArray[np.bool_]) -> int:
+def _count_before_gap(is_present: NDArray[np.bool_]) -> int:
     """Return the number of rows before the first missing."""
-    return len(here) if here.all() else int(here.argmin())
+    return len(is_present) if is_present.all() else int(is_present.argmin())
 
 
 class Pipeline:
@@ -261,42 +259,28 @@ class Pipeline:
 
     def ask(self) -> Generation | None:
         """Return the next rows to evaluate; None: nothing now, or the run is finished."""
-        for slot in self._open if self.finished is None else ():
-            if (rows := slot.hand_out()) is not None:
+        for buffer in self._open if self.finished is None else ():
+            if (rows := buffer.hand_out()) is not None:
                 return rows
         return None
 
     def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
-        """Take evaluated rows, in any order, and give those that have just become final.
+        """Take evaluated rows, in any order, and return those that have just become final.
 
-        Parameters
-        ----------
-        rows
-            With keys, genomes and results; of any generations. Those that came before, were not asked for,
-            or come after the end, are ignored.
-        cpu_seconds
-            What they cost; given on with the next rows that become final.
-        failures
-            Why rows with `Outcome.ERROR` failed, by their place in `rows`.
-
-        Returns
-        -------
-        stretch
-            The next rows of the journal, perhaps none.
+        The rows have keys, genomes and results, and are of any generations. Those that came before, were not
+        asked for, or come after the end, are ignored. `cpu_seconds` go on with the next rows that become
+        final; `failures` are the reasons of rows with `Outcome.ERROR`, by their place in `rows`.
         """
         self._cpu_seconds += cpu_seconds
         self._reasons |= _by_key(rows, failures)
         if self.finished is None:
-            self._place(rows)
+            self._put(rows)
         return self._advance()
 
     def replay(self, rows: Rows) -> None:
         """Take the next recorded rows of the journal as if they had just been evaluated.
 
-        Raises
-        ------
-        ReplayError
-            They are not the rows that this run asks: the journal is of another spec or another version.
+        Raises ReplayError if this run does not ask them: the journal is of another spec or version.
         """
         while len(rows):
             if self.finished is not None:
@@ -306,20 +290,22 @@ class Pipeline:
             self._advance()
             rows = rows[self.tally.rows - before :]
 
-    def _place(self, rows: Rows) -> None:
+    def _put(self, rows: Rows) -> None:
         """Put each row into its open generation."""
         generations = rows["generation"]
-        for slot in self._open:
-            is_its = generations == slot.number
+        for buffer in self._open:
+            is_its = generations == buffer.number
             if is_its.all():
-                slot.place(rows)
+                buffer.put(rows)
             elif is_its.any():
-                slot.place(take_rows(rows, is_its))
+                buffer.put(take_rows(rows, is_its))
 
     def _advance(self) -> JournalSlice:
         """Make final what follows without a gap; tell and ask where a generation is complete."""
         first, errors = self.tally.rows, self.tally.errors
-        pieces = list(self._finals())
+        pieces: list[Rows] = []
+        while self.finished is None and self._open[0].has_ready_row:
+            pieces.append(self._next_final_rows(self._open[0]))
         if not pieces:
             return JournalSlice(first, self._shape.empty(0))
         rows = join_rows(pieces)
@@ -327,30 +313,23 @@ class Pipeline:
         failures = self._failures(rows) if self.tally.errors > errors else ()
         return JournalSlice(first, rows, cpu_seconds, failures)
 
-    def _finals(self) -> Iterator[Rows]:
-        while self.finished is None and (rows := self._next_finals()) is not None:
-            yield rows
-
-    def _next_finals(self) -> Rows | None:
-        """The rows of the oldest generation that have become final; None when it has to wait."""
-        slot = self._open[0]
-        if not slot.has_arrived:
-            return None
-        rows = slot.arrived()
+    def _next_final_rows(self, buffer: GenerationBuffer) -> Rows:
+        """Count the ready rows of the oldest generation, up to the end of the run."""
+        rows = buffer.ready_rows()
         rows = rows[: self.tally.rows_until_stop(rows)]
-        slot.final += len(rows)
+        buffer.final += len(rows)
         self.tally.count(rows)
         if self.tally.is_reached:
-            slot.cut()
-        if slot.is_complete:
+            buffer.truncate()
+        if buffer.is_complete:
             self.tally.end_generation()
-            self._close(slot)
+            self._close(buffer)
         return rows
 
-    def _close(self, slot: GenerationBuffer) -> None:
+    def _close(self, buffer: GenerationBuffer) -> None:
         """Tell a complete generation, and ask the one that waited for it, unless the run is over."""
         if self.finished is None:
-            self._search.tell(slot.number, slot.told)
+            self._search.tell(buffer.number, buffer.rows_for_tell)
             self._open.popleft()
             self._prepare()
 
@@ -358,7 +337,7 @@ class Pipeline:
         """Ask the search for the next generation, unless the open ones are sure to spend the budget."""
         needed = self.tally.left
         if self._overlaps == "count":
-            needed -= sum(slot.missing for slot in self._open)
+            needed -= sum(buffer.missing for buffer in self._open)
         if needed <= 0:
             return
         genomes = self._search.ask(self._asked)

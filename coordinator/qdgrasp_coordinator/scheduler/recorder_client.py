@@ -27,46 +27,46 @@ from qdgrasp_protocol.rows import Rows, RowShape
 
 
 class RowSink(ABC):
-    """Takes the settled rows of a run, in journal order."""
+    """Takes the settled rows of a run, in journal order; safe at once without a recorder."""
 
     trouble: str = ""
     """Reason why rows cannot be written now; empty when they can."""
+
+    def __init__(self, shape: RowShape) -> None:
+        self._shape = shape
+        self.platform: dict[str, str] = {}
+        """Platform of the rows; empty before a worker came."""
 
     @abstractmethod
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         """Open the run; returns the epoch to use and the number of recorded rows.
 
-        Parameters
-        ----------
-        epoch
-            The coordinator's; 0: a new one is issued.
-        wait
-            Called between two tries; it may raise to end them.
+        In epoch 0 a new one is issued. `wait` is called between two tries; it may raise to end them.
         """
 
     @abstractmethod
-    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """Return recorded rows from number `first` on, some if there are any."""
 
     @abstractmethod
-    def push(self, stretch: JournalSlice) -> None:
+    def push(self, part: JournalSlice) -> None:
         """Take rows that became final."""
 
-    @abstractmethod
     def set_platform(self, platform: dict[str, str]) -> None:
         """Note the platform of this job's rows."""
+        self.platform = platform
 
-    @abstractmethod
     def tick(self, now: float) -> None:
         """Send what is due."""
+        return
 
-    @abstractmethod
-    def heard(self, message: Recorded, now: float) -> None:
+    def on_report(self, message: Recorded, now: float) -> None:
         """Process a recorder's report."""
+        return
 
-    @abstractmethod
-    def recorder_up(self, now: float) -> None:
-        """A recorder appeared."""
+    def on_recorder_up(self, now: float) -> None:
+        """Send again what is not durable: a recorder appeared."""
+        return
 
     @property
     @abstractmethod
@@ -74,24 +74,22 @@ class RowSink(ABC):
         """Number of durable rows of the run."""
 
     @property
-    @abstractmethod
     def is_full(self) -> bool:
         """True if too many rows are unconfirmed to ask for more."""
+        return False
 
     @property
-    @abstractmethod
     def is_empty(self) -> bool:
         """True if all rows taken are safe."""
+        return True
 
 
 class MemorySink(RowSink):
     """Keeps rows in memory, for a job whose result is not to be recorded."""
 
     def __init__(self, shape: RowShape) -> None:
-        self._shape = shape
+        super().__init__(shape)
         self._parts: list[Rows] = []
-        self.platform: dict[str, str] = {}
-        """Platform of the rows; empty before a worker came."""
 
     @property
     def rows(self) -> Rows:
@@ -102,41 +100,18 @@ class MemorySink(RowSink):
         """Return that nothing is recorded."""
         return Opened(epoch=1, durable=[0], platform={})
 
-    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """Return no rows."""
         return JournalSlice(first, self._shape.empty(0))
 
-    def push(self, stretch: JournalSlice) -> None:
+    def push(self, part: JournalSlice) -> None:
         """Keep the rows."""
-        self._parts.append(stretch.rows)
-
-    def set_platform(self, platform: dict[str, str]) -> None:
-        """Note the platform."""
-        self.platform = platform
-
-    def tick(self, now: float) -> None:
-        """Do nothing."""
-
-    def heard(self, message: Recorded, now: float) -> None:
-        """Do nothing: there is no recorder."""
-
-    def recorder_up(self, now: float) -> None:
-        """Do nothing."""
+        self._parts.append(part.rows)
 
     @property
     def durable(self) -> int:
         """Number of rows taken."""
         return sum(map(len, self._parts))
-
-    @property
-    def is_full(self) -> bool:
-        """False: memory takes all rows."""
-        return False
-
-    @property
-    def is_empty(self) -> bool:
-        """True: rows in memory count as safe."""
-        return True
 
 
 MESSAGE_ROWS = 1024  # The most rows in one message
@@ -146,13 +121,7 @@ DOUBT_SECONDS = 3.0  # Seconds of hearing only lower numbers before they are bel
 
 
 class Outbox:
-    """Unconfirmed rows of one run.
-
-    Parameters
-    ----------
-    durable
-        How many rows were durable when the recorder opened the run.
-    """
+    """Unconfirmed rows of one run, of which `durable` rows were durable when it was opened."""
 
     def __init__(self, durable: int = 0) -> None:
         self.confirmed = durable
@@ -178,18 +147,18 @@ class Outbox:
         """True if the run must stop asking until the recorder catches up."""
         return self.unconfirmed > MOST_UNCONFIRMED
 
-    def push(self, stretch: JournalSlice) -> None:
+    def push(self, part: JournalSlice) -> None:
         """Take the next rows of the journal."""
-        if stretch.first != self._end:
-            raise ValueError(f"row {self._end} was to be next, got {stretch.first}")
-        if len(stretch):
-            self._kept.append(stretch)
-            self._end = stretch.stop
+        if part.first != self._end:
+            raise ValueError(f"row {self._end} was to be next, got {part.first}")
+        if len(part):
+            self._kept.append(part)
+            self._end = part.stop
 
-    def due(self, now: float) -> list[JournalSlice]:
+    def take_due(self, now: float) -> list[JournalSlice]:
         """Return what is to be sent now, in slices, and count it as sent."""
         if self._is_waiting and now >= self._progress + RESEND_AFTER:
-            self._resend(now)
+            self.resend(now)
         if self._sent == self._end:
             return []
         if not self._is_waiting:
@@ -201,15 +170,12 @@ class Outbox:
             rest.part(first, first + MESSAGE_ROWS) for first in range(rest.first, rest.stop, MESSAGE_ROWS)
         ]
 
-    def durable(self, number: int, now: float) -> None:
+    def confirm(self, number: int, now: float) -> None:
         """Record that `number` rows are durable.
 
-        Raises
-        ------
-        RecorderFellBack
-            The recorder has fewer rows than it reported before, or more than were ever sent: start again
-            from its journal. A lower number may also have been overtaken by a higher one on its way, so
-            it is believed only when nothing else was heard for `DOUBT` seconds.
+        Raises RecorderFellBack if the recorder has fewer rows than it reported before, or more than were ever
+        sent. A lower number may also have been overtaken by a higher one on its way, so it is believed only
+        when nothing else was reported for `DOUBT_SECONDS`.
         """
         if number < self.confirmed or number > self._end:
             self._doubt(number, now)
@@ -219,18 +185,15 @@ class Outbox:
             self._progress = now
             self._forget(number)
 
-    def recorder_up(self, now: float) -> None:
+    def resend(self, now: float) -> None:
         """Have all unconfirmed rows sent again: a new recorder may have missed them."""
-        self._resend(now)
+        self._sent = self.confirmed
+        self._progress = now
 
     @property
     def _is_waiting(self) -> bool:
         """True if rows were sent that are not confirmed."""
         return self._sent > self.confirmed
-
-    def _resend(self, now: float) -> None:
-        self._sent = self.confirmed
-        self._progress = now
 
     def _forget(self, number: int) -> None:
         self.confirmed = number
@@ -257,24 +220,18 @@ class RecorderClient(RowSink):
     """The recorder at the other end of the bus (docs/bus.md, rule 8)."""
 
     def __init__(self, bus: Bus, job: str, shape: RowShape) -> None:
+        super().__init__(shape)
         self._bus = bus
         self._keys = Keys(job)
         self._job = job
-        self._shape = shape
         self._run = ""
         self._epoch = 0
         self._outbox = Outbox(0)
-        self._platform: dict[str, str] = {}
 
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         """Ask the recorder to open the run, again and again until one answers.
 
-        Raises
-        ------
-        InputError
-            The recorder holds another run, and says so.
-        TookOver
-            It answers another coordinator by now.
+        Raises InputError if it holds another run, TookOver if it answers another coordinator by now.
         """
         try:
             request = Open(job=self._job, runs=[run], epoch=epoch)
@@ -284,17 +241,11 @@ class RecorderClient(RowSink):
             raise over or InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
         self._run, self._epoch = run.run, opened.epoch
         self._outbox = Outbox(opened.durable[0])
-        self._platform = opened.platform
+        self.platform = opened.platform
         return opened
 
-    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
-        """A page of rows from the recorder's journal.
-
-        Raises
-        ------
-        InputError
-            The recorder cannot read it, and says why.
-        """
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+        """Return a page of rows from the recorder's journal; InputError if it cannot read it."""
         try:
             request = Log(run=self._run, first=first, limit=REPLAY_ROWS)
             page = messages.decode(self._ask(self._keys.log, request, wait), Recordable)
@@ -320,15 +271,11 @@ class RecorderClient(RowSink):
                 self.trouble = ""
                 return answer
 
-    def push(self, stretch: JournalSlice) -> None:
+    def push(self, part: JournalSlice) -> None:
         """Keep rows until they are durable."""
-        self._outbox.push(stretch)
+        self._outbox.push(part)
 
-    def set_platform(self, platform: dict[str, str]) -> None:
-        """Tell the recorder the platform, again before each burst of rows: one may have been lost."""
-        self._platform = platform
-
-    def heard(self, message: Recorded, now: float) -> None:
+    def on_report(self, message: Recorded, now: float) -> None:
         """Take note of what is durable."""
         if message.epoch > self._epoch > 0:
             raise TookOver(self._job, message.epoch)
@@ -336,19 +283,19 @@ class RecorderClient(RowSink):
             return
         self.trouble = message.trouble
         try:
-            self._outbox.durable(message.durable, now)
+            self._outbox.confirm(message.durable, now)
         except RecorderFellBack as fallen:
             raise fallen.of(self._run) from None
 
-    def recorder_up(self, now: float) -> None:
+    def on_recorder_up(self, now: float) -> None:
         """A recorder appeared: send again what is not durable."""
-        self._outbox.recorder_up(now)
+        self._outbox.resend(now)
 
     def tick(self, now: float) -> None:
         """Send the rows that are due."""
-        parts = self._outbox.due(now)
-        if parts:
-            self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=self._platform))
+        parts = self._outbox.take_due(now)
+        if parts:  # The platform goes before each burst of rows: a message may have been lost
+            self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=self.platform))
         for part in parts:
             message = slice_to_message(part, self._run, self._epoch, self._shape)
             self._put(self._keys.outcome(self._epoch), message)

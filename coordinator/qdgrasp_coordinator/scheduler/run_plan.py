@@ -60,7 +60,7 @@ class RunPlan:
     """The budget."""
 
     @property
-    def opening(self) -> OpenRun:
+    def open_request(self) -> OpenRun:
         """Message that opens the run at a recorder."""
         return OpenRun(
             run=self.run,
@@ -74,7 +74,7 @@ class RunPlan:
 
 @dataclass(frozen=True)
 class JobExtent:
-    """Size of a programme, counted before its first run is opened."""
+    """Size of a job, counted before its first run is opened."""
 
     runs: int
     evaluations: int
@@ -102,19 +102,15 @@ class JobExtent:
 
 
 class RunQueue(Protocol):
-    """Interface of every programme."""
+    """Interface of the queue of a job's runs."""
 
     extent: JobExtent
 
     def next(self) -> RunPlan | None:
         """Return the next run to carry out; None when no run is left.
 
-        Raises
-        ------
-        RunFailed
-            It cannot be made; the one behind it still may.
-        DiskFull
-            There is no room for it now; it is made when `next` is called again and there is.
+        Raises RunFailed if it cannot be made, while the one behind it may; DiskFull if there is no room for
+        it now: it is made when `next` is called again and there is.
         """
 
     def put_back(self, run: str) -> None:
@@ -125,15 +121,7 @@ class RunQueue(Protocol):
 
 
 class SingleRunQueue:
-    """The programme of a job with one run.
-
-    Parameters
-    ----------
-    make
-        Makes the run, at its very beginning.
-    evaluations
-        Its budget.
-    """
+    """The queue of a job with one run; `make` makes it, at its very beginning."""
 
     def __init__(self, make: Callable[[], RunPlan], evaluations: int) -> None:
         self.extent = JobExtent.of({RUN: evaluations})
@@ -155,10 +143,7 @@ class SingleRunQueue:
 def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     """Return the complete spec: files as absolute paths, defaults of the method filled in.
 
-    Raises
-    ------
-    InputError
-        A key, value or name is not valid, or not with this method; valid ones are named.
+    Raises InputError if a key, value or name is not valid, or not with this method; valid ones are named.
     """
     chosen = method(run_spec(values, where).method)
     usual = {name: getattr(chosen, name) for name in ("overlaps", "population", "generations_in_flight")}
@@ -170,23 +155,20 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
 
 
 def absolute_asset(name: Any) -> Any:
-    """A gripper or object: a file as its absolute path, anything else as it is."""
+    """Return a gripper or object: a file as its absolute path, anything else as it is."""
     path = named_path(name) if isinstance(name, str) else Path()
     return str(path.resolve()) if path.suffix and not path_problem(path) else name
 
 
 def default_run_name(spec: RunSpec) -> str:
-    """The name of a run's folder when none is given."""
+    """Return the name of a run's folder when it has none."""
     return f"{Path(spec.gripper).stem}-{Path(spec.object).stem}-{spec.method}-s{spec.seed}"
 
 
 def make_bundle(spec: RunSpec) -> tuple[Scene, Bundle]:
-    """The scene of a spec, and its bytes.
+    """Return the scene of a spec, and its bytes.
 
-    Raises
-    ------
-    InputError
-        It cannot be built, or the method's prior is not for such a hand.
+    Raises InputError if it cannot be built, or the method's prior is not for such a hand.
     """
     scene = build_scene(spec)
     row_shape(scene, method(spec.method).prior)
@@ -194,7 +176,7 @@ def make_bundle(spec: RunSpec) -> tuple[Scene, Bundle]:
 
 
 def plan_run(spec: RunSpec, scene: Scene, bundle: Bundle, run: str = RUN) -> RunPlan:
-    """A run, ready for the coordinator."""
+    """Return a run, ready for the coordinator."""
     chosen = method(spec.method)
     return plan_with_search(chosen.build(spec, search_space(scene, chosen.prior)), spec, scene, bundle, run)
 
@@ -229,14 +211,8 @@ CompareRow = Callable[[int, np.void, str], None]
 class ReevaluationPlan:
     """Recorded rows that are evaluated once more; no row becomes final.
 
-    Each travels under another key: generation 0, its place among the recorded rows as index, and its trial.
-
-    Parameters
-    ----------
-    recorded
-        (n,), in any order.
-    compare
-        Called once for each row.
+    They are `recorded` in any order: (n,). Each travels under another key: generation 0, its place among the
+    recorded rows as index, and its trial. `compare` is called once for each row.
     """
 
     def __init__(self, recorded: Rows, compare: CompareRow) -> None:

@@ -20,10 +20,12 @@ from tests.coordinator.recorder.fakes import JOB
 from tests.coordinator.scheduler.fakes import PLANS, FakeRunQueue, FakeWorker, Job, until
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
 
+from qdgrasp_coordinator.metrics.job_status import EventLog
 from qdgrasp_coordinator.monitor.feed import SUBSCRIBED_KEYS, Feed
-from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler, JoinRequest
+from qdgrasp_coordinator.scheduler.inbox import JoinRequest
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunRegistry
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunLoader, RunRegistry
 from qdgrasp_coordinator.scheduler.status_publisher import StatusPublisher
 from qdgrasp_protocol import session
 from qdgrasp_protocol.bus import Bus, Channel, Query
@@ -60,38 +62,44 @@ class Coordinator:
         self.bus = Counted(network)
         self.now = 1.0 + int(time.monotonic())  # its runs were opened before that
         programme = FakeRunQueue(dict(PLANS))
-        lanes = RunRegistry(programme, lambda run: MemorySink(SHAPE), lambda _news: None, Stop())
+        loader = RunLoader(programme, lambda run: MemorySink(SHAPE), lambda _event: None, Stop())
+        self.scheduler = JobScheduler(
+            JOB,
+            RunRegistry(programme, loader),
+            lambda *_message: None,
+            events=EventLog(lambda event: self.publisher.publish_event(event)),
+        )
+        self.publisher = StatusPublisher(self.bus, self.scheduler, lambda: self.now)
+        self.scheduler.start_epoch(1)
         for _ in range(3):
-            assignment = programme.next()
-            assert assignment is not None
-            lane = ActiveRun(assignment, MemorySink(SHAPE))
-            lane.open(1, lambda: None)
-            lanes.begin(lane)
-        self.turn = JobScheduler(JOB, 1, lanes, lambda *_message: None, None)
+            plan = programme.next()
+            assert plan is not None
+            run = ActiveRun(plan, MemorySink(SHAPE))
+            run.open(1, lambda: None)
+            self.scheduler.runs.add(run)
         for number in range(WORKERS):
             self._join(f"{number:032x}")
-        self.board = StatusPublisher(self.bus, JOB, lanes, lambda: self.turn, lambda: self.now)
 
     def _join(self, wid: str) -> None:
         join = Join(versions=[1], wid=wid, number=1, credit=2, held=[], host="h", pid=1, platform={"a": "1"})
-        self.turn.take(JoinRequest(join, Future()), self.now)
+        self.scheduler.handle(JoinRequest(join, Future()), self.now)
 
     @contextmanager
     def open(self) -> Iterator[None]:
         keys = Keys(JOB)
-        self.board.open(self.now)
+        self.publisher.open(self.now)
         with ExitStack() as stack:
             for shown in (keys.stat(), keys.meta, keys.recent):
-                stack.enter_context(self.bus.answer_values(shown, self.board.display.values))
+                stack.enter_context(self.bus.answer_values(shown, self.publisher.cache.answer))
             stack.enter_context(self.bus.token(keys.coordinator_token(1)))
             yield
 
     def show(self) -> None:
         """Show for twenty seconds how far it is, and that things happen."""
         for quarter in range(80):
-            self.board.publish_due(self.now + quarter / 4)
+            self.publisher.publish_due(self.now + quarter / 4)
             if quarter % 20 == 0:
-                self.board.chronicle.note("worker", "A worker has joined.")
+                self.scheduler.events.note("worker", "A worker has joined.")
 
 
 @contextmanager
@@ -144,7 +152,7 @@ def test_what_a_coordinator_keeps_does_not_grow_with_those_who_watch() -> None:
 def test_all_that_is_shown_is_dropped_before_anybody_waits() -> None:
     coordinator = Coordinator(MemoryNetwork())
     with coordinator.open():
-        coordinator.board.publish_meta("mine")
+        coordinator.publisher.publish_meta("mine")
         coordinator.show()
     assert coordinator.bus.channels == {Channel.MONITOR}
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 from tests.common import PATIENCE
 from tests.coordinator.recorder.fakes import recording
-from tests.coordinator.scheduler.fakes import FakeWorker, Job, until
+from tests.coordinator.scheduler.fakes import FakeWorker, Job, job_view, send_command, until
 from tests.coordinator.scheduler.search_plans import Plan, reference
-from tests.coordinator.scheduler.test_rpc import job_view, send_command
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder

@@ -252,7 +252,7 @@ class TestRecording:
         link.tick(0.0)
         with recording(network, folder.path):
             run.meet()
-            link.recorder_up(0.1)
+            link.on_recorder_up(0.1)
             link.tick(0.2)
             run.hears(lambda report: report.durable == 10)
         with folder.journal() as journal:

@@ -15,6 +15,8 @@ from tests.coordinator.recorder.fakes import JOB
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan, evaluate
 
 from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.monitor.feed import reachable_jobs
+from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RecorderClient, RowSink
@@ -24,7 +26,7 @@ from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import DiskFull, QdgraspError, RunFailed, TookOver
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import Control, Join, Joined, Opened, OpenRun, Result, Work
+from qdgrasp_protocol.messages import Control, Join, Joined, Opened, OpenRun, Order, OrderReply, Result, Work
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -224,8 +226,8 @@ class Job:
             self.bus,
             self.stop,
             job=JOB,
-            programme=self.programme,
-            make_record=self._record,
+            queue=self.programme,
+            make_sink=self._record,
             batch_size=2,
             seconds=seconds,
         )
@@ -240,7 +242,7 @@ class Job:
         with ExitStack() as stack:
             for number in range(workers):
                 stack.enter_context(FakeWorker(self.network.session(), f"{number:032x}").at_work())
-            self.service.run(lambda now: self.open.append(self.service.figures(now).runs_open))
+            self.service.run(lambda now: self.open.append(self.service.status(now).runs_open))
 
     @contextmanager
     def serving(self) -> Iterator[threading.Thread]:
@@ -264,3 +266,15 @@ class Job:
 
     def journals(self) -> dict[str, bytes]:
         return {name: record.rows.tobytes() for name, record in self.records.items()}
+
+
+def send_command(bus: Bus, act: str, **whom: str) -> str:
+    order = Order(act=act, **whom)  # type: ignore[arg-type]
+    return messages.decode(
+        bus.ask(Keys(JOB).control, messages.encode(order), timeout=PATIENCE), OrderReply
+    ).words
+
+
+def job_view(bus: Bus) -> JobView:
+    (view,) = reachable_jobs(bus)
+    return view

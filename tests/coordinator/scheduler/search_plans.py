@@ -17,7 +17,7 @@ SHAPE = RowShape(genes=4, joints=1)
 
 
 class Chain:
-    """A search whose every ask depends on every bit of all tells: nothing can be told differently unseen."""
+    """A search whose every ask depends on every bit of all tells."""
 
     def __init__(self, population: int, seed: int) -> None:
         self._population = population
@@ -34,7 +34,7 @@ class Chain:
 
 
 def evaluate(rows: Rows) -> Rows:
-    """The rows with results: a pure function of each genome and trial, poison (about 4 %) included."""
+    """Return the rows with results, a function of genome and trial; about 4 % are poison."""
     found = rows.copy()
     genome = rows["genome"]
     share = ((genome[:, 0] + 1) / 2 + rows["trial"] * np.float32(0.37)) % 1
@@ -48,12 +48,12 @@ def evaluate(rows: Rows) -> Rows:
 
 @dataclass(frozen=True)
 class Task:
-    """What a history is about."""
+    """A search and the evaluation of its genomes."""
 
     search: Callable[[int, int], SearchAlgorithm]
     """Makes the search from population and seed."""
     evaluate: Callable[[Rows], Rows]
-    """Gives rows with results, a function of genome and trial; those that are poison as they were."""
+    """Returns rows with results, a function of genome and trial; poison rows stay as they are."""
     shape: RowShape
 
 
@@ -75,7 +75,7 @@ class Plan:
     task: Task = CHAIN
 
     def __str__(self) -> str:
-        """What differs from the defaults, but for the task: the same in all processes that collect tests."""
+        """Return the fields that differ from the defaults, but for the task."""
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "task"}
         defaults = vars(Plan())
         changed = [f"{name}={value}" for name, value in values.items() if value != defaults[name]]
@@ -115,7 +115,7 @@ def reference(plan: Plan) -> bytes:
 
 
 class End:
-    """Whether a run's end comes with its next nominal row."""
+    """Tells if a run's end comes with its next nominal row."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan

@@ -49,32 +49,32 @@ def test_an_outcome_that_is_none_fails_all_rows_of_its_result(number: int) -> No
 
 
 def measured(seconds_per_row: float) -> BatchSizer:
-    pace = BatchSizer()
+    sizer = BatchSizer()
     for _ in range(3):
-        pace.measure(10, 10 * seconds_per_row)
-    return pace
+        sizer.measure(10, 10 * seconds_per_row)
+    return sizer
 
 
-def batches(pace: BatchSizer, remaining: int, workers: int) -> list[int]:
+def batches(sizer: BatchSizer, remaining: int, workers: int) -> list[int]:
     """The batches that a generation is cut into."""
     cut = []
     while remaining:
-        cut.append(pace.rows(remaining, workers))
+        cut.append(sizer.next_size(remaining, workers))
         remaining -= cut[-1]
     return cut
 
 
 def test_the_first_batches_are_small() -> None:
-    assert BatchSizer().rows(10_000, 2) == FIRST_ROWS
+    assert BatchSizer().next_size(10_000, 2) == FIRST_ROWS
 
 
 def test_a_batch_takes_about_a_quarter_of_a_second() -> None:
-    assert measured(0.001).rows(10_000, 2) == pytest.approx(BATCH_SECONDS / 0.001, rel=0.02)
+    assert measured(0.001).next_size(10_000, 2) == pytest.approx(BATCH_SECONDS / 0.001, rel=0.02)
 
 
 @pytest.mark.parametrize(("cost", "rows"), [(0.0, MOST_ROWS), (1e-7, MOST_ROWS), (3.0, 1)])
 def test_a_batch_has_at_least_one_row_and_not_too_many(cost: float, rows: int) -> None:
-    assert measured(cost).rows(1_000_000, 2) == rows
+    assert measured(cost).next_size(1_000_000, 2) == rows
 
 
 @pytest.mark.parametrize("workers", [1, 2, 7])
@@ -97,43 +97,45 @@ def test_a_fixed_size_is_kept_but_for_the_rest() -> None:
 
 
 def test_the_latest_batches_count_most() -> None:
-    pace = measured(0.01)
+    sizer = measured(0.01)
     for _ in range(60):
-        pace.measure(100, 0.1)
-    assert pace.seconds_per_row == pytest.approx(0.001, rel=0.01)
+        sizer.measure(100, 0.1)
+    assert sizer.seconds_per_row == pytest.approx(0.001, rel=0.01)
 
 
-def test_without_measurement_patience_is_the_shortest_lease() -> None:
+def test_without_measurement_timeout_is_the_shortest_lease() -> None:
     assert LeaseTimeout().limit == LEASE_SECONDS
 
 
-def test_patience_is_ten_times_the_turnaround_that_nineteen_of_twenty_keep() -> None:
-    patience = LeaseTimeout()
+def test_timeout_is_ten_times_the_turnaround_that_nineteen_of_twenty_keep() -> None:
+    timeout = LeaseTimeout()
     for seconds in [2.0] * 95 + [60.0] * 5:
-        patience.measure(seconds)
-    assert patience.limit == 20.0
+        timeout.measure(seconds)
+    assert timeout.limit == 20.0
     for _ in range(10):
-        patience.measure(60.0)
-    assert patience.limit == 600.0
+        timeout.measure(60.0)
+    assert timeout.limit == 600.0
 
 
-def test_patience_forgets_what_was_long_ago() -> None:
-    patience = LeaseTimeout()
+def test_timeout_forgets_what_was_long_ago() -> None:
+    timeout = LeaseTimeout()
     for seconds in [60.0] * 300 + [0.1] * 300:
-        patience.measure(seconds)
-    assert patience.limit == LEASE_SECONDS
+        timeout.measure(seconds)
+    assert timeout.limit == LEASE_SECONDS
 
 
 def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:
-    pace = BatchSizer()
-    pace.measure(10, 0.2)
-    assert pace.rows(500, 1000, runs=100) == 12  # 0.25 s, less than a half of the part of each of ten workers
-    assert pace.rows(500, 1000, runs=16) == 4
-    assert pace.rows(500, 1000) == 1
+    sizer = BatchSizer()
+    sizer.measure(10, 0.2)
+    assert (
+        sizer.next_size(500, 1000, runs=100) == 12
+    )  # 0.25 s, less than half of the part of each of 10 workers
+    assert sizer.next_size(500, 1000, runs=16) == 4
+    assert sizer.next_size(500, 1000) == 1
 
 
 def test_no_batch_is_so_small_that_handing_them_out_takes_longer_than_the_work() -> None:
-    pace = BatchSizer()
-    pace.measure(1000, 0.05)  # 50 us a row, as much as handing a batch out
-    assert pace.rows(10_000, 1000) >= 100
-    assert pace.rows(10_000, 1) == 512
+    sizer = BatchSizer()
+    sizer.measure(1000, 0.05)  # 50 us a row, as much as handing a batch out
+    assert sizer.next_size(10_000, 1000) >= 100
+    assert sizer.next_size(10_000, 1) == 512

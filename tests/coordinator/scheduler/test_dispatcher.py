@@ -1,6 +1,6 @@
-"""Who is leased which rows: credit and fairness (rule 1 of docs/bus.md).
+"""Leases, joins and results at the dispatcher (rules 1 and 3 to 6 of docs/bus.md).
 
-Rules 3 to 6 are in `test_dispatch_fence` and `test_dispatch_settling`; tests/simulation mixes all of them.
+tests/simulation mixes all of them.
 """
 
 from math import inf
@@ -14,6 +14,7 @@ from tests.coordinator.scheduler.leases import (
     EVE,
     SCENE,
     SHAPE,
+    Dispatch,
     genomes,
     indices,
     settle,
@@ -22,7 +23,7 @@ from tests.coordinator.scheduler.leases import (
 )
 
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
-from qdgrasp_coordinator.scheduler.dispatcher import MOST_SETTLED, STRIKES, Dispatcher
+from qdgrasp_coordinator.scheduler.dispatcher import MOST_SETTLED, STRIKES
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, SCENES_KEPT, TOKEN_GRACE
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, decode, encode
@@ -54,9 +55,9 @@ def test_workers_take_turns() -> None:
 def test_a_batch_holds_rows_of_one_generation_only() -> None:
     dispatch = with_work(n=3)
     submit(dispatch, 3, generation=1)
-    dispatch.join(BOB, 1, 4, [], 0.0)
+    dispatch.admit(BOB, 1, 4, [], 0.0)
     leases = dispatch.leases(0.0)
-    assert sorted((lease.batch.generation, lease.batch.indices.tolist()) for lease in leases) == [
+    assert sorted((lease.batch.rows.number, lease.batch.rows.indices.tolist()) for lease in leases) == [
         (0, [0, 1]),
         (0, [2]),
         (1, [0, 1]),
@@ -77,9 +78,9 @@ def test_a_lease_travels_as_a_message() -> None:
 def test_batch_ids_are_never_used_again() -> None:
     seen = set()
     for epoch in range(3):
-        dispatch = Dispatcher(epoch, 1)
+        dispatch = Dispatch(epoch, 1)
         submit(dispatch, 50)
-        dispatch.join(ANN, 1, 64, [], 0.0)
+        dispatch.admit(ANN, 1, 64, [], 0.0)
         ids = {lease.batch.id for lease in dispatch.leases(0.0)}
         assert len(ids) == 50
         assert {len(one) for one in ids} == {16}
@@ -102,48 +103,50 @@ def test_measured_batches_grow_from_small_ones() -> None:
 
 
 def test_runs_are_served_in_turn_by_what_they_cost() -> None:
-    dispatch = Dispatcher(EPOCH, 1)
+    dispatch = Dispatch(EPOCH, 1)
     for run in ("one", "two"):
         submit(dispatch, 1000, run, scene=run)
-    dispatch.join(ANN, 1, 1, [], 0.0)
+    dispatch.admit(ANN, 1, 1, [], 0.0)
     served = {"one": 0, "two": 0}
     for now in range(400):
         (lease,) = dispatch.leases(now)
         settle(dispatch, lease, now)
-        served[lease.batch.run] += 1
+        served[lease.batch.run.run] += 1
     assert abs(served["one"] - served["two"]) <= 2 * 5.0 / 0.1 + 2
 
 
 def test_a_worker_opens_few_scenes_where_there_are_more_than_it_can_keep() -> None:
-    dispatch = Dispatcher(EPOCH, 1)
+    dispatch = Dispatch(EPOCH, 1)
     for number in range(20):
         submit(dispatch, 1000, f"run{number}", scene=f"{number}")
-    dispatch.join(ANN, 1, 1, [], 0.0)
+    dispatch.admit(ANN, 1, 1, [], 0.0)
     opened, kept = 0, []
     for now in range(1000):
         (lease,) = dispatch.leases(now)
         settle(dispatch, lease, now)
-        opened += lease.batch.scene not in kept
-        kept = [lease.batch.scene, *(scene for scene in kept if scene != lease.batch.scene)][:SCENES_KEPT]
+        opened += lease.batch.run.scene not in kept
+        kept = [lease.batch.run.scene, *(scene for scene in kept if scene != lease.batch.run.scene)][
+            :SCENES_KEPT
+        ]
     assert 10 < opened < 60
 
 
 def test_a_worker_that_rejoins_holds_its_scenes_still() -> None:
-    dispatch = Dispatcher(EPOCH, 1)
+    dispatch = Dispatch(EPOCH, 1)
     for run in ("one", "two"):
         submit(dispatch, 10, run, scene=run)
-    dispatch.join(ANN, 1, 1, [], 0.0)
+    dispatch.admit(ANN, 1, 1, [], 0.0)
     for _ in range(2):
         (lease,) = dispatch.leases(0.0)
         settle(dispatch, lease, 0.1)
-    dispatch.join(ANN, 2, 1, [], 0.2)
-    assert [again.batch.scene for again in dispatch.leases(0.3)] == [lease.batch.scene]
+    dispatch.admit(ANN, 2, 1, [], 0.2)
+    assert [again.batch.run.scene for again in dispatch.leases(0.3)] == [lease.batch.run.scene]
 
 
 def test_a_run_that_comes_late_is_not_given_what_it_missed() -> None:
-    dispatch = Dispatcher(EPOCH, 1)
+    dispatch = Dispatch(EPOCH, 1)
     submit(dispatch, 1000, "one")
-    dispatch.join(ANN, 1, 1, [], 0.0)
+    dispatch.admit(ANN, 1, 1, [], 0.0)
     for now in range(200):
         settle(dispatch, dispatch.leases(now)[0], now)
     submit(dispatch, 1000, "two")
@@ -151,17 +154,17 @@ def test_a_run_that_comes_late_is_not_given_what_it_missed() -> None:
     for now in range(200, 400):
         (lease,) = dispatch.leases(now)
         settle(dispatch, lease, now)
-        runs.append(lease.batch.run)
+        runs.append(lease.batch.run.run)
     assert 60 < runs.count("two") < 140
 
 
 def test_only_the_scenes_that_a_worker_keeps_open_are_remembered() -> None:
-    dispatch = Dispatcher(EPOCH, 1)
-    dispatch.join(ANN, 1, 1, [], 0.0)
+    dispatch = Dispatch(EPOCH, 1)
+    dispatch.admit(ANN, 1, 1, [], 0.0)
     for number in range(SCENES_KEPT + 3):
         submit(dispatch, 1, f"run{number}", scene=f"{number}")
         settle(dispatch, dispatch.leases(0.0)[0], 0.0)
-    worker = dispatch._roster.get(ANN)
+    worker = dispatch.workers.get(ANN)
     assert worker is not None
     assert list(worker.scenes) == [f"{number}" for number in range(3, SCENES_KEPT + 3)]
 
@@ -173,9 +176,9 @@ def test_a_withdrawn_run_is_leased_no_more_and_its_batches_may_be_dropped() -> N
     dispatch = with_work(n=10)
     submit(dispatch, 4, "other", scene="2" * 64)
     leases = dispatch.leases(0.0)
-    mine = [lease for lease in leases if lease.batch.run == "run"]
+    mine = [lease for lease in leases if lease.batch.run.run == "run"]
     assert dispatch.withdraw("run") == {ANN: [lease.batch.id for lease in mine]}
-    assert {lease.batch.run for lease in dispatch.leases(0.1)} == {"other"}
+    assert {lease.batch.run.run for lease in dispatch.leases(0.1)} == {"other"}
     assert settle(dispatch, mine[0], 0.2).kind is Settlement.LATE
     assert dispatch.withdraw("run") == {}
 
@@ -183,11 +186,11 @@ def test_a_withdrawn_run_is_leased_no_more_and_its_batches_may_be_dropped() -> N
 def test_a_withdrawn_run_may_hold_batches_that_wait_to_be_leased_again() -> None:
     dispatch = with_work(n=4)
     dispatch.leases(0.0)
-    dispatch.gone(ANN, 0.0)
-    dispatch.tick(TOKEN_GRACE)
+    dispatch.workers.on_token(ANN, False, 0.0)
+    dispatch.give_up(TOKEN_GRACE)
     assert dispatch.withdraw("run") == {}
-    dispatch.join(BOB, 1, 2, [], 1.5)
-    assert (dispatch.leases(2.0), dispatch.queued_seconds, dispatch.next_deadline()) == ([], 0, inf)
+    dispatch.admit(BOB, 1, 2, [], 1.5)
+    assert (dispatch.leases(2.0), dispatch.queued_seconds, dispatch.workers.next_deadline()) == ([], 0, inf)
 
 
 # 5. Settle once.
@@ -216,8 +219,8 @@ def test_a_second_result_of_the_same_worker_is_a_duplicate() -> None:
 def test_the_first_of_two_workers_wins_and_the_other_is_late() -> None:
     dispatch = with_work(n=2)
     (zombies,) = dispatch.leases(0.0)
-    dispatch.join(BOB, 1, 2, [], 1.0)
-    dispatch.tick(LEASE_SECONDS)
+    dispatch.admit(BOB, 1, 2, [], 1.0)
+    dispatch.give_up(LEASE_SECONDS)
     (bobs,) = dispatch.leases(LEASE_SECONDS)
     assert (bobs.wid, bobs.batch) == (BOB, zombies.batch)
     settled = settle(dispatch, zombies, 11.0)
@@ -229,11 +232,11 @@ def test_the_first_of_two_workers_wins_and_the_other_is_late() -> None:
 def test_a_worker_that_was_overtaken_has_its_credit_back_at_once() -> None:
     dispatch = with_work(n=2)
     (zombies,) = dispatch.leases(0.0)
-    dispatch.join(BOB, 1, 1, [], 1.0)
-    dispatch.tick(LEASE_SECONDS)
+    dispatch.admit(BOB, 1, 1, [], 1.0)
+    dispatch.give_up(LEASE_SECONDS)
     (bobs,) = dispatch.leases(LEASE_SECONDS)
     settle(dispatch, zombies, 11.0)
-    dispatch.gone(ANN, 11.0)
+    dispatch.workers.on_token(ANN, False, 11.0)
     submit(dispatch, 2, generation=1)
     assert [lease.wid for lease in dispatch.leases(11.0)] == [BOB]
     assert settle(dispatch, bobs, 12.0).kind is Settlement.LATE
@@ -243,16 +246,16 @@ def test_a_worker_that_was_overtaken_has_its_credit_back_at_once() -> None:
 def test_a_result_settles_a_batch_that_waits_to_be_leased_again() -> None:
     dispatch = with_work(n=2)
     (lease,) = dispatch.leases(0.0)
-    dispatch.gone(ANN, 0.1)
-    dispatch.tick(0.1 + TOKEN_GRACE)
+    dispatch.workers.on_token(ANN, False, 0.1)
+    dispatch.give_up(0.1 + TOKEN_GRACE)
     assert settle(dispatch, lease, 2.0).kind is Settlement.FRESH
-    dispatch.join(BOB, 1, 2, [], 2.0)
+    dispatch.admit(BOB, 1, 2, [], 2.0)
     assert dispatch.leases(2.0) == []
 
 
 def test_results_of_other_epochs_and_other_workers_are_foreign() -> None:
     dispatch = with_work(n=2)
-    dispatch.join(EVE, 1, 0, [], 0.0)
+    dispatch.admit(EVE, 1, 0, [], 0.0)
     (lease,) = dispatch.leases(0.0)
     assert settle(dispatch, lease, 0.1, epoch=EPOCH - 1).kind is Settlement.FOREIGN
     assert settle(dispatch, lease, 0.1, wid=EVE).kind is Settlement.FOREIGN
@@ -264,13 +267,13 @@ def test_a_foreign_result_is_no_sign_of_progress() -> None:
     dispatch = with_work(n=2)
     (lease,) = dispatch.leases(0.0)
     settle(dispatch, lease, 9.0, epoch=EPOCH - 1)
-    assert len(dispatch.tick(LEASE_SECONDS)) == 1
+    assert len(dispatch.give_up(LEASE_SECONDS)) == 1
 
 
 def test_a_result_of_a_batch_that_was_never_cut_is_unknown() -> None:
-    other = Dispatcher(EPOCH, 2)
+    other = Dispatch(EPOCH, 2)
     submit(other, 2)
-    other.join(ANN, 1, 2, [], 0.0)
+    other.admit(ANN, 1, 2, [], 0.0)
     (lease,) = other.leases(0.0)
     assert settle(with_work(n=0), lease, 0.1).kind is Settlement.UNKNOWN
 
@@ -281,7 +284,7 @@ def test_settled_batches_are_forgotten_in_the_end() -> None:
     settle(dispatch, first, 0.0)
     for _ in range(MOST_SETTLED):
         settle(dispatch, dispatch.leases(0.0)[0], 0.0)
-    assert len(dispatch._tickets._settled) == MOST_SETTLED
+    assert len(dispatch._batches._settled) == MOST_SETTLED
     assert settle(dispatch, first, 1.0).kind is Settlement.UNKNOWN
 
 
@@ -367,9 +370,9 @@ def test_lost_workers_are_no_evidence_against_a_row() -> None:
     for turn in range(3 * STRIKES):
         now = 10.0 * turn
         dispatch.leases(now)
-        dispatch.gone(ANN, now)
-        dispatch.tick(now + TOKEN_GRACE)
-        dispatch.join(ANN, turn + 2, 2, [], now + 2)
+        dispatch.workers.on_token(ANN, False, now)
+        dispatch.give_up(now + TOKEN_GRACE)
+        dispatch.admit(ANN, turn + 2, 2, [], now + 2)
     (lease,) = dispatch.leases(1000.0)
     assert (lease.attempt, lease.batch.failed) == (3 * STRIKES + 1, 0)
 
@@ -389,7 +392,7 @@ def test_two_results_of_a_failed_row_count_once() -> None:
 def test_what_a_worker_does_not_hold_when_it_rejoins_is_leased_again_under_the_new_join() -> None:
     dispatch = with_work(n=4)
     held, dropped = dispatch.leases(0.0)
-    assert dispatch.join(ANN, 2, 2, [held.batch.id], 0.1) == []
+    assert dispatch.admit(ANN, 2, 2, [held.batch.id], 0.1) == []
     (again,) = dispatch.leases(0.2)
     assert (again.batch.id, again.attempt, again.join) == (dropped.batch.id, 2, 2)
     assert settle(dispatch, held, 0.3).kind is Settlement.FRESH
@@ -398,7 +401,7 @@ def test_what_a_worker_does_not_hold_when_it_rejoins_is_leased_again_under_the_n
 def test_nothing_is_evaluated_twice_for_a_rejoin_with_everything_in_hand() -> None:
     dispatch = with_work(n=4)
     leases = dispatch.leases(0.0)
-    dispatch.join(ANN, 2, 2, [lease.batch.id for lease in leases], 0.1)
+    dispatch.admit(ANN, 2, 2, [lease.batch.id for lease in leases], 0.1)
     assert (dispatch.leases(0.2), dispatch.counters["requeued"]) == ([], 0)
 
 
@@ -406,41 +409,41 @@ def test_a_worker_is_told_to_drop_what_others_have_or_nobody_wants() -> None:
     dispatch = with_work(n=8)
     settled, moved, open_ = *dispatch.leases(0.0), b"\0" * 16
     settle(dispatch, settled, 0.1)
-    dispatch.gone(ANN, 0.1)
-    dispatch.tick(0.1 + TOKEN_GRACE)
-    dispatch.join(BOB, 1, 1, [], 1.2)
+    dispatch.workers.on_token(ANN, False, 0.1)
+    dispatch.give_up(0.1 + TOKEN_GRACE)
+    dispatch.admit(BOB, 1, 1, [], 1.2)
     (lease,) = dispatch.leases(1.2)
     assert lease.batch.id == moved.batch.id
     held = [settled.batch.id, moved.batch.id, open_]
-    assert dispatch.join(ANN, 2, 2, held, 1.3) == held
+    assert dispatch.admit(ANN, 2, 2, held, 1.3) == held
 
 
 def test_a_worker_may_go_on_with_what_was_queued_again_meanwhile() -> None:
     dispatch = with_work(n=4)
     leases = dispatch.leases(0.0)
-    dispatch.gone(ANN, 0.1)
-    dispatch.tick(0.1 + TOKEN_GRACE)
+    dispatch.workers.on_token(ANN, False, 0.1)
+    dispatch.give_up(0.1 + TOKEN_GRACE)
     assert dispatch.queued_seconds > 0
-    assert dispatch.join(ANN, 2, 2, [lease.batch.id for lease in leases], 1.5) == []
+    assert dispatch.admit(ANN, 2, 2, [lease.batch.id for lease in leases], 1.5) == []
     assert (dispatch.queued_seconds, dispatch.leases(1.6)) == (0, [])
 
 
 def test_nobody_may_go_on_with_what_it_was_never_leased() -> None:
     dispatch = with_work(n=2)
     (lease,) = dispatch.leases(0.0)
-    assert dispatch.join(EVE, 1, 2, [lease.batch.id], 0.1) == [lease.batch.id]
-    dispatch.gone(ANN, 0.1)
-    dispatch.tick(0.1 + TOKEN_GRACE)
-    assert dispatch.join(EVE, 2, 2, [lease.batch.id], 1.2) == [lease.batch.id]
+    assert dispatch.admit(EVE, 1, 2, [lease.batch.id], 0.1) == [lease.batch.id]
+    dispatch.workers.on_token(ANN, False, 0.1)
+    dispatch.give_up(0.1 + TOKEN_GRACE)
+    assert dispatch.admit(EVE, 2, 2, [lease.batch.id], 1.2) == [lease.batch.id]
 
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_an_overtaken_join_changes_nothing(number: int) -> None:
     dispatch = with_work(n=4)
-    dispatch.join(ANN, 2, 2, [], 0.0)
+    dispatch.admit(ANN, 2, 2, [], 0.0)
     dispatch.leases(0.1)
     requeued = dispatch.counters["requeued"]
-    assert dispatch.join(ANN, number, 2, [], 0.2) == []
+    assert dispatch.admit(ANN, number, 2, [], 0.2) == []
     assert (dispatch.queued_seconds, dispatch.counters["requeued"]) == (0, requeued)
 
 
@@ -450,11 +453,11 @@ def test_an_overtaken_join_changes_nothing(number: int) -> None:
 def test_a_vanished_worker_is_given_up_after_a_second() -> None:
     dispatch = with_work(n=4, workers=(ANN, BOB))
     dispatch.leases(0.0)
-    dispatch.gone(ANN, 3.0)
-    assert dispatch.next_deadline() == 3.0 + TOKEN_GRACE
-    assert dispatch.tick(3.0 + TOKEN_GRACE - 0.01) == []
-    (lost,) = dispatch.tick(3.0 + TOKEN_GRACE)
-    assert (lost.wid, lost.batches, lost.reason) == (ANN, 1, "its token vanished")
+    dispatch.workers.on_token(ANN, False, 3.0)
+    assert dispatch.workers.next_deadline() == 3.0 + TOKEN_GRACE
+    assert dispatch.give_up(3.0 + TOKEN_GRACE - 0.01) == []
+    (lost,) = dispatch.give_up(3.0 + TOKEN_GRACE)
+    assert (lost.worker.wid, len(lost.batches), lost.reason) == (ANN, 1, "its token vanished")
     (again,) = dispatch.leases(4.0)
     assert (again.wid, again.attempt) == (BOB, 2)
 
@@ -462,66 +465,66 @@ def test_a_vanished_worker_is_given_up_after_a_second() -> None:
 def test_news_of_the_same_loss_puts_nothing_off() -> None:
     dispatch = with_work(n=4)
     dispatch.leases(0.0)
-    dispatch.gone(ANN, 3.0)
-    dispatch.gone(ANN, 3.9)
-    assert len(dispatch.tick(3.0 + TOKEN_GRACE)) == 1
+    dispatch.workers.on_token(ANN, False, 3.0)
+    dispatch.workers.on_token(ANN, False, 3.9)
+    assert len(dispatch.give_up(3.0 + TOKEN_GRACE)) == 1
 
 
 def test_a_worker_that_comes_back_within_the_second_keeps_its_batches() -> None:
     dispatch = with_work(n=4)
     dispatch.leases(0.0)
-    dispatch.gone(ANN, 3.0)
-    dispatch.back(ANN, 3.5)
-    assert dispatch.tick(3.0 + TOKEN_GRACE) == []
+    dispatch.workers.on_token(ANN, False, 3.0)
+    dispatch.workers.on_token(ANN, True, 3.5)
+    assert dispatch.give_up(3.0 + TOKEN_GRACE) == []
     assert dispatch.counters["requeued"] == 0
 
 
 def test_a_vanished_worker_is_leased_nothing_even_if_a_late_result_of_it_arrives() -> None:
     dispatch = with_work(n=10)
     lease, _ = dispatch.leases(0.0)
-    dispatch.gone(ANN, 0.1)
+    dispatch.workers.on_token(ANN, False, 0.1)
     assert settle(dispatch, lease, 0.2).kind is Settlement.FRESH
     assert dispatch.leases(0.3) == []
-    assert len(dispatch.tick(0.1 + TOKEN_GRACE)) == 1
+    assert len(dispatch.give_up(0.1 + TOKEN_GRACE)) == 1
 
 
 def test_nobody_is_given_up_while_our_own_link_is_down() -> None:
     dispatch = with_work(n=4, workers=(ANN, BOB))
     dispatch.leases(0.0)
-    dispatch.link(False, 1.0)
+    dispatch.workers.on_link(False, 1.0)
     for wid in (ANN, BOB):
-        dispatch.gone(wid, 1.0)
-    assert dispatch.next_deadline() == inf
-    assert dispatch.tick(500.0) == []
-    dispatch.link(True, 500.0)
-    dispatch.back(ANN, 500.1)
-    assert [lost.wid for lost in dispatch.tick(500.0 + TOKEN_GRACE)] == [BOB]
+        dispatch.workers.on_token(wid, False, 1.0)
+    assert dispatch.workers.next_deadline() == inf
+    assert dispatch.give_up(500.0) == []
+    dispatch.workers.on_link(True, 500.0)
+    dispatch.workers.on_token(ANN, True, 500.1)
+    assert [lost.worker.wid for lost in dispatch.give_up(500.0 + TOKEN_GRACE)] == [BOB]
 
 
 def test_a_silent_worker_is_given_up_when_its_lease_is_over() -> None:
     dispatch = with_work(n=4, workers=(ANN, BOB))
     _, bobs = sorted(dispatch.leases(0.0), key=lambda lease: lease.wid)
     settle(dispatch, bobs, 1.0)
-    assert dispatch.next_deadline() == LEASE_SECONDS
-    (lost,) = dispatch.tick(LEASE_SECONDS)
-    assert (lost.wid, lost.reason) == (ANN, "no sign of progress for 10 seconds")
+    assert dispatch.workers.next_deadline() == LEASE_SECONDS
+    (lost,) = dispatch.give_up(LEASE_SECONDS)
+    assert (lost.worker.wid, lost.reason) == (ANN, "no sign of progress for 10 seconds")
     assert [lease.wid for lease in dispatch.leases(LEASE_SECONDS)] == [BOB]
 
 
 def test_signs_of_progress_put_the_end_of_a_lease_off() -> None:
     dispatch = with_work(n=4)
     dispatch.leases(0.0)
-    dispatch.seen(ANN, 8.0)
-    assert dispatch.tick(LEASE_SECONDS) == []
-    assert dispatch.next_deadline() == 8.0 + LEASE_SECONDS
+    dispatch.workers.progressed(ANN, 8.0)
+    assert dispatch.give_up(LEASE_SECONDS) == []
+    assert dispatch.workers.next_deadline() == 8.0 + LEASE_SECONDS
 
 
 def test_the_lease_begins_when_an_idle_worker_gets_work() -> None:
-    dispatch = Dispatcher(EPOCH, 2)
-    dispatch.join(ANN, 1, 2, [], 0.0)
+    dispatch = Dispatch(EPOCH, 2)
+    dispatch.admit(ANN, 1, 2, [], 0.0)
     submit(dispatch, 4)
     dispatch.leases(100.0)
-    assert dispatch.tick(100.0 + LEASE_SECONDS / 2) == []
+    assert dispatch.give_up(100.0 + LEASE_SECONDS / 2) == []
 
 
 def test_leases_are_longer_where_batches_take_longer() -> None:
@@ -530,16 +533,16 @@ def test_leases_are_longer_where_batches_take_longer() -> None:
         (lease, *_) = dispatch.leases(now)
         settle(dispatch, lease, now + 3)
     dispatch.leases(60.0)
-    assert dispatch.tick(60.0 + 25) == []
-    assert 60.0 + 25 < dispatch.next_deadline() < 60.0 + 35
+    assert dispatch.give_up(60.0 + 25) == []
+    assert 60.0 + 25 < dispatch.workers.next_deadline() < 60.0 + 35
 
 
 def test_a_stuck_worker_gets_nothing_until_it_shows_progress() -> None:
     dispatch = with_work(n=20, workers=(ANN, BOB))
     anns = [lease for lease in dispatch.leases(0.0) if lease.wid == ANN]
-    dispatch.seen(BOB, 9.0)
-    assert [lost.wid for lost in dispatch.tick(LEASE_SECONDS)] == [ANN]
-    assert dispatch.workers == 1
+    dispatch.workers.progressed(BOB, 9.0)
+    assert [lost.worker.wid for lost in dispatch.give_up(LEASE_SECONDS)] == [ANN]
+    assert len(dispatch.workers) == 1
     assert dispatch.leases(10.0) == []  # Bob's credit is used up
     settle(dispatch, anns[0], 11.0)
     assert {lease.wid for lease in dispatch.leases(11.0)} == {ANN}
@@ -550,5 +553,5 @@ def test_where_all_workers_are_stuck_all_of_them_are_tried_in_turn() -> None:
     tried = []
     for turn in range(6):
         tried += [lease.wid for lease in dispatch.leases(turn * LEASE_SECONDS)]
-        dispatch.tick((turn + 1) * LEASE_SECONDS)
+        dispatch.give_up((turn + 1) * LEASE_SECONDS)
     assert set(tried[:3]) == set(tried[3:]) == {ANN, BOB, EVE}

@@ -46,77 +46,77 @@ def numbers(stretches: list[JournalSlice]) -> list[int]:
 
 def test_rows_are_sent_once_while_all_is_well() -> None:
     outbox = filled(3, 4)
-    assert numbers(outbox.due(0.0)) == list(range(7))
-    assert outbox.due(0.1) == []
+    assert numbers(outbox.take_due(0.0)) == list(range(7))
+    assert outbox.take_due(0.1) == []
     outbox.push(stretch(7, 2))
-    assert numbers(outbox.due(0.2)) == [7, 8]
-    outbox.durable(9, 0.3)
+    assert numbers(outbox.take_due(0.2)) == [7, 8]
+    outbox.confirm(9, 0.3)
     assert outbox.is_empty
-    assert outbox.due(100.0) == []
+    assert outbox.take_due(100.0) == []
 
 
 def test_many_rows_go_in_slices_and_small_stretches_together() -> None:
     outbox = filled(*[7] * 400)
-    slices = outbox.due(0.0)
+    slices = outbox.take_due(0.0)
     assert numbers(slices) == list(range(2800))
     assert len(slices) == 3
 
 
 def test_what_is_not_durable_is_sent_again_after_a_while() -> None:
     outbox = filled(10)
-    outbox.due(5.0)
-    outbox.durable(4, 6.0)
-    assert outbox.due(6.0 + RESEND_AFTER - 0.01) == []
-    assert numbers(outbox.due(6.0 + RESEND_AFTER)) == [4, 5, 6, 7, 8, 9]
-    assert outbox.due(6.0 + 2 * RESEND_AFTER - 0.01) == []
+    outbox.take_due(5.0)
+    outbox.confirm(4, 6.0)
+    assert outbox.take_due(6.0 + RESEND_AFTER - 0.01) == []
+    assert numbers(outbox.take_due(6.0 + RESEND_AFTER)) == [4, 5, 6, 7, 8, 9]
+    assert outbox.take_due(6.0 + 2 * RESEND_AFTER - 0.01) == []
 
 
 def test_a_report_without_progress_puts_nothing_off() -> None:
     outbox = filled(10)
-    outbox.due(0.0)
+    outbox.take_due(0.0)
     for tenth in range(20):
-        outbox.durable(0, tenth / 10)
-    assert numbers(outbox.due(RESEND_AFTER)) == list(range(10))
+        outbox.confirm(0, tenth / 10)
+    assert numbers(outbox.take_due(RESEND_AFTER)) == list(range(10))
 
 
 def test_time_without_anything_to_confirm_does_not_count() -> None:
     outbox = filled(2)
-    outbox.due(0.0)
-    outbox.durable(2, 0.1)
+    outbox.take_due(0.0)
+    outbox.confirm(2, 0.1)
     outbox.push(stretch(2, 2))
-    assert numbers(outbox.due(1000.0)) == [2, 3]
-    assert outbox.due(1000.0 + RESEND_AFTER / 2) == []
+    assert numbers(outbox.take_due(1000.0)) == [2, 3]
+    assert outbox.take_due(1000.0 + RESEND_AFTER / 2) == []
 
 
 def test_a_new_recorder_is_sent_everything_that_is_not_durable_at_once() -> None:
     outbox = filled(10)
-    outbox.due(0.0)
-    outbox.durable(3, 0.1)
-    outbox.recorder_up(0.2)
-    assert numbers(outbox.due(0.2)) == list(range(3, 10))
-    assert outbox.due(0.2 + RESEND_AFTER / 2) == []
+    outbox.take_due(0.0)
+    outbox.confirm(3, 0.1)
+    outbox.resend(0.2)
+    assert numbers(outbox.take_due(0.2)) == list(range(3, 10))
+    assert outbox.take_due(0.2 + RESEND_AFTER / 2) == []
 
 
 def test_durable_rows_may_end_within_a_stretch() -> None:
     outbox = filled(5, 5, 5)
-    outbox.due(0.0)
-    outbox.durable(7, 0.1)
-    outbox.recorder_up(0.2)
-    assert numbers(outbox.due(0.2)) == list(range(7, 15))
+    outbox.take_due(0.0)
+    outbox.confirm(7, 0.1)
+    outbox.resend(0.2)
+    assert numbers(outbox.take_due(0.2)) == list(range(7, 15))
 
 
 def test_rows_may_be_durable_before_they_are_known_to_be_sent() -> None:
     outbox = filled(5)
-    outbox.due(0.0)
-    outbox.recorder_up(0.1)
-    outbox.durable(5, 0.2)
-    assert outbox.due(0.3) == []
+    outbox.take_due(0.0)
+    outbox.resend(0.1)
+    outbox.confirm(5, 0.2)
+    assert outbox.take_due(0.3) == []
     assert outbox.is_empty
 
 
 def test_numbers_go_on_from_what_was_durable_at_the_start() -> None:
     outbox = filled(3, durable=50)
-    assert numbers(outbox.due(0.0)) == [50, 51, 52]
+    assert numbers(outbox.take_due(0.0)) == [50, 51, 52]
     assert (outbox.confirmed, outbox.unconfirmed) == (50, 3)
 
 
@@ -125,7 +125,7 @@ def test_it_is_full_when_too_much_is_unconfirmed() -> None:
     assert not outbox.is_full
     outbox.push(stretch(MOST_UNCONFIRMED, 1))
     assert outbox.is_full
-    outbox.durable(1, 0.0)
+    outbox.confirm(1, 0.0)
     assert not outbox.is_full
 
 
@@ -141,31 +141,33 @@ def test_reasons_of_errors_are_sent_with_their_rows() -> None:
         one = stretch(first, n)
         outbox.push(JournalSlice(first, one.rows, 1.0, (Failure(row=5, reason=f"{first + 5}"),)))
     sent = [
-        (part.first + failure.row, failure.reason) for part in outbox.due(0.0) for failure in part.failures
+        (part.first + failure.row, failure.reason)
+        for part in outbox.take_due(0.0)
+        for failure in part.failures
     ]
     assert sent == [(5, "5"), (MESSAGE_ROWS + 3, str(MESSAGE_ROWS + 3))]
 
 
 def test_an_overtaken_report_is_ignored() -> None:
     outbox = filled(10)
-    outbox.due(0.0)
-    outbox.durable(8, 0.1)
-    outbox.durable(3, 0.2)
+    outbox.take_due(0.0)
+    outbox.confirm(8, 0.1)
+    outbox.confirm(3, 0.2)
     assert outbox.confirmed == 8
-    outbox.durable(8, 1.0)
-    outbox.durable(3, 1.0 + DOUBT_SECONDS)
+    outbox.confirm(8, 1.0)
+    outbox.confirm(3, 1.0 + DOUBT_SECONDS)
     assert outbox.confirmed == 8
 
 
 @pytest.mark.parametrize("number", [3, 11])
 def test_a_recorder_that_stays_at_another_number_is_believed(number: int) -> None:
     outbox = filled(10)
-    outbox.due(0.0)
-    outbox.durable(8, 0.1)
-    outbox.durable(number, 1.0)
-    outbox.durable(number, 0.9 + DOUBT_SECONDS)
+    outbox.take_due(0.0)
+    outbox.confirm(8, 0.1)
+    outbox.confirm(number, 1.0)
+    outbox.confirm(number, 0.9 + DOUBT_SECONDS)
     with pytest.raises(RecorderFellBack, match=f"reports {number} durable rows, expected 8 to 10"):
-        outbox.durable(number, 1.0 + DOUBT_SECONDS)
+        outbox.confirm(number, 1.0 + DOUBT_SECONDS)
 
 
 RUN = OpenRun(run="one", spec=b"", scene="0" * 64, genes=4, joints=1, descriptors=3)
@@ -185,7 +187,7 @@ def test_a_recorder_that_refuses_is_quoted() -> None:
     with network.session().answer(keys.open, refuse), pytest.raises(InputError, match="rows 7 to 9"):
         link.open(RUN, 0, wait)
     with network.session().answer(keys.log, refuse), pytest.raises(InputError, match="rows 7 to 9"):
-        link.recorded(0, wait)
+        link.recorded_rows(0, wait)
 
 
 def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:
@@ -202,7 +204,7 @@ def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:
 
 
 class Deaf(MemoryBus):
-    """A session whose questions are lost, or find nobody; it keeps how long each might have waited."""
+    """A session whose questions are lost or unanswered; it keeps their timeouts."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, is_lost: bool) -> None:
         super().__init__(MemoryNetwork())

@@ -1,12 +1,16 @@
 """From what is asked for to a run that can be carried out."""
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.scheduler.run_plan import ReevaluationPlan, full_spec, make_bundle
+from qdgrasp_coordinator.scheduler.run_plan import ReevaluationPlan, SingleRunQueue, full_spec, make_bundle
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.errors import ImpossibleValue, JawNeeded
 from qdgrasp_protocol.messages import Failure
@@ -59,7 +63,7 @@ N = 9
 
 
 class Heard:
-    """What was compared."""
+    """The compared rows."""
 
     def __init__(self) -> None:
         self.places: list[int] = []
@@ -88,7 +92,7 @@ def heard() -> Heard:
 
 
 def evaluated(repetition: ReevaluationPlan) -> Rows:
-    """What a worker makes of what is asked."""
+    """Return the asked rows as a worker evaluates them."""
     asked = repetition.ask()
     assert asked is not None
     rows = SHAPE.empty(len(asked.indices))
@@ -143,3 +147,47 @@ def test_why_a_row_failed_is_told_with_it(recorded: Rows, heard: Heard) -> None:
     repetition.settle(rows, failures=[Failure(row=1, reason="it burst")])
     assert heard.reasons[heard.places.index(N - 2)] == "it burst"
     assert [reason for reason in heard.reasons if reason] == ["it burst"]
+
+
+# The queue of a job with one run.
+
+MADE = object()
+MOST_INSTRUCTIONS = 100
+
+
+@contextmanager
+def before_instruction(number: int, function: Callable, act: Callable[[], None]) -> Iterator[None]:
+    """Act once before that instruction of a function, as another thread may."""
+    left = number
+
+    def traced(frame: FrameType, event: str, _: object) -> object:
+        nonlocal left
+        if frame.f_code is not function.__code__:
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if left == -1:
+                act()
+        return traced
+
+    before = sys.gettrace()
+    sys.settrace(traced)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+
+
+def test_a_run_that_is_put_back_at_any_moment_is_made_once_again() -> None:
+    moments = []
+    for number in range(MOST_INSTRUCTIONS):
+        single = SingleRunQueue(lambda: MADE, 1)  # type: ignore[arg-type,return-value]
+        assert single.next() is MADE
+        with before_instruction(number, SingleRunQueue.next, lambda: moments.append(single.put_back("run"))):  # noqa: B023
+            made = [single.next()]
+        if len(moments) == number:  # there are not so many
+            break
+        made += [single.next(), single.next()]
+        assert made.count(MADE) == 1, f"put back before instruction {number}"
+    assert 3 < len(moments) < MOST_INSTRUCTIONS

@@ -1,4 +1,4 @@
-"""A run that is opened: what is recorded is replayed, and what its spec does not allow is refused."""
+"""Runs of a job are opened, replayed, put back and removed."""
 
 from collections.abc import Callable
 from queue import SimpleQueue
@@ -14,6 +14,7 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     LoaderEvent,
     NoRunLeft,
+    RunLoader,
     RunOpened,
     RunRegistry,
 )
@@ -38,14 +39,14 @@ class Recorded(MemorySink):
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         return Opened(epoch=1, durable=[len(self._before)], platform={})
 
-    def recorded(self, first: int, wait: Callable[[], None]) -> JournalSlice:
+    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         return JournalSlice(first, self._before[first : first + self._page])
 
 
 def opened(plan: Plan, rows: Rows, page: int) -> ActiveRun:
-    lane = ActiveRun(assignment("run", plan), Recorded(rows, page))
-    lane.open(0, lambda: None)
-    return lane
+    run = ActiveRun(assignment("run", plan), Recorded(rows, page))
+    run.open(0, lambda: None)
+    return run
 
 
 @pytest.mark.parametrize("page", [1, 7, 1000])
@@ -67,62 +68,63 @@ class Coming:
     def __init__(self, *runs: str) -> None:
         self._news: SimpleQueue[LoaderEvent] = SimpleQueue()
         programme = FakeRunQueue({name: Plan(evaluations=40) for name in runs})
-        self.lanes = RunRegistry(programme, lambda run: MemorySink(run.shape), self._news.put, Stop())
+        loader = RunLoader(programme, lambda run: MemorySink(run.shape), self._news.put, Stop())
+        self.runs = RunRegistry(programme, loader)
 
     def ask(self) -> LoaderEvent:
-        """Have another run opened; gives what comes of it, which the lanes have not heard."""
-        self.lanes.open_another(1, is_wanted=True)
+        """Have another run opened; gives what comes of it, which the runs have not heard."""
+        self.runs.open_another(1, is_wanted=True)
         return self._news.get(timeout=PATIENCE)
 
     def open(self) -> ActiveRun:
         """Open the next run."""
         news = self.ask()
         assert isinstance(news, RunOpened)
-        self.lanes.begin(news.lane)
-        return news.lane
+        self.runs.add(news.run)
+        return news.run
 
 
 @pytest.mark.parametrize("others", [(), ("other",)])
 def test_a_run_that_is_put_back_while_none_was_left_is_opened_again(others: tuple[str, ...]) -> None:
     coming = Coming("run", *others)
-    lane, *rest = (coming.open() for _ in ("run", *others))
+    run, *rest = (coming.open() for _ in ("run", *others))
     assert coming.ask() == NoRunLeft()
-    coming.lanes.reopen(lane)  # before that is heard
-    coming.lanes.none_left()
+    coming.runs.reopen(run)  # before that is heard
+    coming.runs.no_run_left()
     for one in rest:
-        coming.lanes.end(one)
-    assert not coming.lanes.are_done
+        coming.runs.remove(one)
+    assert not coming.runs.are_done
     again = coming.open()
-    assert again.run == "run"
+    assert again.name == "run"
     assert coming.ask() == NoRunLeft()
-    coming.lanes.none_left()
-    coming.lanes.end(again)
-    assert coming.lanes.are_done
+    coming.runs.no_run_left()
+    coming.runs.remove(again)
+    assert coming.runs.are_done
 
 
 def test_what_remains_is_of_runs_that_are_not_over() -> None:
     coming = Coming("run", "other", "third")
 
     def remaining() -> int:
-        return coming.lanes.figures("job", 1, 0.0).remaining
+        return coming.runs.status("job", 1, 0.0).remaining
 
     assert remaining() == 3 * 40
-    lane, other = coming.open(), coming.open()
-    lane.tally.evaluations = 15
+    run, other = coming.open(), coming.open()
+    run.tally.evaluations = 15
     assert remaining() == 105
-    lane.tally.finished = "it found enough"
+    run.tally.finished = "it found enough"
     assert remaining() == 80
-    coming.lanes.end(lane)
+    coming.runs.remove(run)
     assert remaining() == 80
-    coming.lanes.fail(RunFailed("third", "Its mesh is no mesh."))
+    coming.runs.add_failure(RunFailed("third", "Its mesh is no mesh."))
     assert remaining() == 40
-    coming.lanes.reopen(other)
+    coming.runs.reopen(other)
     assert remaining() == 40
 
 
 def test_a_run_that_is_put_back_is_opened_once() -> None:
     coming = Coming("run", "other")
-    lane = coming.open()
-    coming.lanes.reopen(lane)
-    assert [coming.open().run for _ in range(2)] == ["run", "other"]
+    run = coming.open()
+    coming.runs.reopen(run)
+    assert [coming.open().name for _ in range(2)] == ["run", "other"]
     assert coming.ask() == NoRunLeft()

@@ -1,13 +1,15 @@
-"""What late comers are told of a job."""
+"""Status on the bus: published, and answered to queries of late comers."""
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from types import SimpleNamespace
 
 import pytest
 from tests.common import PATIENCE
 from tests.coordinator.recorder.fakes import JOB
 from tests.coordinator.scheduler.fakes import PLANS, FakeWorker, IdentifiedSink, Job, until
+from tests.coordinator.scheduler.leases import ANN, join_message
 from tests.coordinator.scheduler.search_plans import Plan
 
 from qdgrasp_coordinator.metrics import job_status
@@ -24,7 +26,14 @@ from qdgrasp_coordinator.metrics.job_status import (
     to_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve, RunCounter
-from qdgrasp_coordinator.scheduler.status_publisher import CURVE_SECONDS, STALE_SECONDS, StatusCache
+from qdgrasp_coordinator.scheduler import coordinator_service
+from qdgrasp_coordinator.scheduler.inbox import Inbox, InboxEvent, JoinRequest
+from qdgrasp_coordinator.scheduler.status_publisher import (
+    CURVE_SECONDS,
+    STALE_SECONDS,
+    STATUS_INTERVAL,
+    StatusCache,
+)
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Query, Sample
 from qdgrasp_protocol.errors import NoReply, RunsFailed
@@ -36,25 +45,25 @@ ROOT = "qdgrasp/v1/mugs/stat"
 
 
 class Wall:
-    """A display with a clock that is set by hand, and the curve of one run."""
+    """A status cache with a clock that is set by hand, and the curve of one run."""
 
     def __init__(self) -> None:
         self.now = 100.0
         self.points: list[CurvePoint] = []
-        self.display = StatusCache(self.curves, lambda: self.now)
+        self.cache = StatusCache(self.curves, lambda: self.now)
 
     def curves(self) -> dict[str, GrowthCurve]:
         return {f"{ROOT}/curve/a": GrowthCurve(run="a", points=self.points)}
 
     def asked(self, key: str) -> dict[str, bytes]:
-        return self.display.values(Query(f"{ROOT}/{key}", "", b""))
+        return self.cache.answer(Query(f"{ROOT}/{key}", "", b""))
 
 
 def test_what_was_shown_last_is_told_by_its_key() -> None:
     wall = Wall()
     for payload in (b"1", b"2"):
-        wall.display.fill(f"{ROOT}/job", payload)
-    wall.display.fill(f"{ROOT}/run/a", b"3")
+        wall.cache.set(f"{ROOT}/job", payload)
+    wall.cache.set(f"{ROOT}/run/a", b"3")
     assert wall.asked("**") == {f"{ROOT}/job": b"2", f"{ROOT}/run/a": b"3"}
     assert wall.asked("run/*") == {f"{ROOT}/run/a": b"3"}
 
@@ -62,9 +71,9 @@ def test_what_was_shown_last_is_told_by_its_key() -> None:
 def test_what_is_not_there_any_more_is_told_to_nobody() -> None:
     wall = Wall()
     for key in ("job", "run/a", "run/b", "team/0", "team/1"):
-        wall.display.fill(f"{ROOT}/{key}", b"")
-    wall.display.keep(f"{ROOT}/run/*", {"b"})
-    wall.display.keep(f"{ROOT}/team/*", {"0"})
+        wall.cache.set(f"{ROOT}/{key}", b"")
+    wall.cache.retain(f"{ROOT}/run/*", {"b"})
+    wall.cache.retain(f"{ROOT}/team/*", {"0"})
     assert {*wall.asked("**")} == {f"{ROOT}/{key}" for key in ("job", "run/b", "team/0")}
 
 
@@ -79,7 +88,7 @@ def test_curves_are_drawn_once_in_a_while_however_many_ask() -> None:
 
 def test_of_a_coordinator_that_stands_still_nothing_is_told() -> None:
     wall = Wall()
-    wall.display.fill(f"{ROOT}/job", b"")
+    wall.cache.set(f"{ROOT}/job", b"")
     wall.now += STALE_SECONDS
     assert wall.asked("job")
     wall.now += 0.1
@@ -88,7 +97,6 @@ def test_of_a_coordinator_that_stands_still_nothing_is_told() -> None:
 
 
 KEYS = Keys(JOB)
-ANN = "a" * 32
 LONG = Plan(population=40, evaluations=100_000)
 
 
@@ -160,7 +168,7 @@ def test_rows_that_no_recorder_has_confirmed_are_waiting() -> None:
     waits: list[int] = []
 
     def look(now: float) -> None:
-        waits.append(job.service.figures(now).waiting)
+        waits.append(job.service.status(now).waiting)
         if waits[-1] > 0:
             job.stop.set(15)
 
@@ -291,3 +299,59 @@ def test_nobody_needs_to_have_listened_to_hear_what_happened_last() -> None:
         chronicle.note("job", f"{number}")
     latest = chronicle.latest.events
     assert (len(latest), latest[0].words, latest[-1].number) == (EVENTS_KEPT, "50", EVENTS_KEPT + 50)
+
+
+class Clock(Inbox):
+    """An inbox whose waiting is all the time that passes, and what happens when.
+
+    Until the first run is open, which takes another thread some time, none does.
+    """
+
+    def __init__(self, now: float) -> None:
+        super().__init__()
+        self.now = self.began = now
+        self.happens: list[tuple[float, Callable[[], object]]] = []
+        self.is_running: Callable[[], bool] = lambda: False
+
+    def take(self, patience: float, most: int = 256) -> list[InboxEvent]:
+        if not self.is_running():
+            return super().take(min(patience, 0.01), most)
+        events = super().take(0.0, most)
+        if events:
+            return events
+        self.now += patience
+        if self.happens and self.happens[0][0] <= self.now - self.began:
+            after, act = self.happens.pop(0)
+            self.now = self.began + after
+            act()
+        return super().take(0.0, most)
+
+
+@pytest.mark.parametrize("tenth", range(10))
+def test_a_worker_whose_token_vanishes_is_shown_as_gone_within_half_a_second(
+    tenth: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whenever that is in the second between two publications of the workers."""
+    clock, lost_after = Clock(now=1000.0), 5.0 + tenth / 10
+    monkeypatch.setattr(coordinator_service, "Inbox", lambda: clock)
+    monkeypatch.setattr(coordinator_service, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    job = Job({"run-0": LONG})
+    states: list[tuple[float, list[str]]] = []
+
+    def heard(sample: Sample) -> None:
+        page = from_json(sample.payload, WorkersPage)
+        states.append((clock.now - clock.began, [one.state for one in page.workers]))
+        if states[-1][1] == ["gone"]:
+            job.stop.set(15)
+
+    with ExitStack() as stack, job.network.session() as monitor, job.network.session() as worker:
+        stack.enter_context(monitor.subscribe(KEYS.stat("team/*"), heard))
+        clock.is_running = lambda: bool(job.open and job.open[-1])
+        clock.happens = [
+            (0.0, lambda: stack.enter_context(worker.token(KEYS.worker_token(ANN)))),
+            (0.1, lambda: clock.put(JoinRequest(join_message(ANN)))),
+            (lost_after, worker.close),
+        ]
+        job.service.run(lambda now: job.open.append(job.service.status(now).runs_open))
+    assert ["working"] in [shown for at, shown in states if at < lost_after]
+    assert states[-1][0] - lost_after <= STATUS_INTERVAL + 1e-9

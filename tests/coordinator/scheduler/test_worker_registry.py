@@ -1,10 +1,17 @@
-"""What the roster notes with every change is what a look at all its members would find."""
+"""The workers of a job: indexes agree with a pass over all workers; rates are recent."""
 
+import copy
 import random
 
 import pytest
+from tests.coordinator.scheduler.leases import join_message
 
-from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import (
+    MOST_GONE,
+    RATE_SECONDS,
+    RateMeter,
+    WorkerRegistry,
+)
 
 SCENE = "0" * 64
 WORKERS = [f"{number:032x}" for number in range(6)]
@@ -12,10 +19,10 @@ CREDIT = 2
 
 
 class Turmoil:
-    """Random things that happen to a roster, as dispatch has them happen."""
+    """Random events of a registry, as scheduler and dispatcher pass them on."""
 
     def __init__(self, seed: int) -> None:
-        self.roster = WorkerRegistry()
+        self.workers = WorkerRegistry()
         self.now = 0.0
         self._chance = random.Random(seed)  # noqa: S311
         self._batches = 0
@@ -32,88 +39,122 @@ class Turmoil:
                 self._release,
                 self._release,
                 lambda _: self._pass(),
-                lambda wid: self.roster.seen(wid, self.now),
-                lambda wid: self.roster.gone(wid, self.now),
-                lambda wid: self.roster.expect(wid, self.now),
-                self.roster.back,
+                lambda wid: self.workers.progressed(wid, self.now),
+                lambda wid: self.workers.on_token(wid, False, self.now),
+                self._join,
+                lambda wid: self.workers.on_token(wid, True, self.now),
                 lambda _: self._link(),
-                lambda wid: self.roster.drain(wid) if self._chance.random() < 0.02 else None,
-                lambda _: self.roster.patience.measure(self._chance.choice([0.1, 2.0, 5.0])),
+                lambda wid: self.workers.drain(wid) if self._chance.random() < 0.02 else None,
+                lambda _: self.workers.lease_timeout.measure(self._chance.choice([0.1, 2.0, 5.0])),
             ]
         )(wid)
 
     def _join(self, wid: str) -> None:
-        member = self.roster.get(wid)
-        self.roster.admit(wid, member.number + 1 if member else 1, CREDIT, self.now)
+        worker = self.workers.get(wid)
+        self.workers.join(join_message(wid, worker.join.number + 1 if worker else 1, CREDIT), self.now)
 
     def _lease(self, _: str) -> None:
-        member = self.roster.free().first
-        if member is not None:
+        worker = next(self.workers.idle(), None)
+        if worker is not None:
             self._batches += 1
-            self.roster.hold(member, self._batches.to_bytes(16), SCENE, self.now)
+            self.workers.hold(worker, self._batches.to_bytes(16), SCENE, self.now)
 
     def _release(self, wid: str) -> None:
-        member = self.roster.get(wid)
-        for batch in list(member.batches)[:1] if member else ():
-            self.roster.release(wid, batch)
+        worker = self.workers.get(wid)
+        for batch in list(worker.batches)[:1] if worker else ():
+            self.workers.release(wid, batch)
 
     def _pass(self) -> None:
         self.now += self._chance.choice([0.1, 1.0, 7.0])
 
     def _link(self) -> None:
         self._link_is_up = not self._link_is_up
-        self.roster.link(self._link_is_up, self.now)
+        self.workers.on_link(self._link_is_up, self.now)
 
-    # What a look at all of them finds.
+    # By a pass over all workers.
 
     @property
     def deadline(self) -> float:
-        limit = self.roster.patience.limit
-        deadlines = [member.deadline(limit) for member in self.roster] if self._link_is_up else []
+        limit = self.workers.lease_timeout.limit
+        deadlines = [worker.deadline(limit) for worker in self.workers] if self._link_is_up else []
         return min(deadlines, default=float("inf"))
 
     @property
     def late(self) -> set[str]:
-        limit = self.roster.patience.limit
+        limit = self.workers.lease_timeout.limit
         return {
-            member.wid for member in self.roster if self._link_is_up and self.now >= member.deadline(limit)
+            worker.wid for worker in self.workers if self._link_is_up and self.now >= worker.deadline(limit)
         }
 
     @property
     def free(self) -> set[str]:
-        well = any(member.is_well for member in self.roster)
-        return {member.wid for member in self.roster if member.has_credit and not (member.is_stuck and well)}
+        well = any(worker.is_well for worker in self.workers)
+        return {worker.wid for worker in self.workers if worker.has_credit and not (worker.is_stuck and well)}
 
 
-def leased_in_turn(roster: WorkerRegistry) -> set[str]:
-    """Who would be leased a batch next, if none took more than one."""
-    hands, found = roster.free(), set()
-    while (member := hands.first) is not None and member.wid not in found:
-        found.add(member.wid)
-        hands._heap.pop(0)
-        hands._heap.sort()
+def leased(workers: WorkerRegistry) -> set[str]:
+    """Workers that would be leased batches if there were work enough."""
+    workers = copy.deepcopy(workers)
+    found = set()
+    for number, worker in enumerate(workers.idle()):
+        workers.hold(worker, b"%16d" % number, SCENE, 0.0)
+        found.add(worker.wid)
     return found
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_notes_are_what_a_look_at_all_members_finds(seed: int) -> None:
+def test_the_indexes_agree_with_a_pass_over_all_workers(seed: int) -> None:
     turmoil = Turmoil(seed)
-    roster = turmoil.roster
+    workers = turmoil.workers
     for _ in range(300):
         turmoil.happen()
-        assert len(roster) == sum(member.is_well for member in roster)
-        assert leased_in_turn(roster) == turmoil.free
-        assert roster.next_deadline() <= turmoil.deadline
+        assert len(workers) == sum(worker.is_well for worker in workers)
+        assert leased(workers) == turmoil.free
+        assert workers.next_deadline() <= turmoil.deadline
         late = turmoil.late
-        assert {overdue.wid for overdue in roster.overdue(turmoil.now)} == late
+        assert {lost.worker.wid for lost in workers.overdue(turmoil.now)} == late
 
 
-def test_who_is_overdue_tells_what_it_held_and_holds_it_no_more() -> None:
-    roster = WorkerRegistry()
-    member = roster.admit(WORKERS[0], 1, CREDIT, 0.0)
-    roster.hold(member, b"a" * 16, SCENE, 0.0)
-    roster.gone(WORKERS[0], 1.0)
-    (overdue,) = roster.overdue(100.0)
-    assert (overdue.wid, overdue.batches) == (WORKERS[0], [b"a" * 16])
-    assert roster.get(WORKERS[0]) is None
-    assert roster.next_deadline() == float("inf")
+def test_an_overdue_worker_names_what_it_held_and_holds_it_no_more() -> None:
+    workers = WorkerRegistry()
+    workers.on_token(WORKERS[0], True, 0.0)
+    workers.join(join_message(WORKERS[0]), 0.0)
+    worker = workers.get(WORKERS[0])
+    assert worker is not None
+    workers.hold(worker, b"a" * 16, SCENE, 0.0)
+    workers.on_token(WORKERS[0], False, 1.0)
+    (lost,) = workers.overdue(100.0)
+    assert (lost.worker.wid, lost.batches) == (WORKERS[0], [b"a" * 16])
+    assert workers.get(WORKERS[0]) is None
+    assert workers.next_deadline() == float("inf")
+
+
+def test_no_more_workers_that_are_gone_are_kept_than_can_be_shown() -> None:
+    workers = WorkerRegistry()
+    for number in range(2 * MOST_GONE):
+        workers.on_token(f"{number:032x}", True, 0.0)
+        workers.join(join_message(f"{number:032x}"), 0.0)
+        workers.on_token(f"{number:032x}", False, 0.0)
+    assert len(workers.overdue(1.0)) == 2 * MOST_GONE
+    assert sum(len(page.workers) for page in workers.pages(1.0)) == MOST_GONE
+
+
+@pytest.mark.parametrize("seconds", [1, 5, 60])
+def test_a_steady_speed_is_given_from_the_beginning(seconds: int) -> None:
+    speed = RateMeter(100.0)
+    for step in range(1, 20 * seconds + 1):
+        speed.count(1, 100.0 + step / 20)
+    assert speed.rate(100.0 + seconds) == pytest.approx(20, rel=0.03)
+
+
+def test_what_was_long_ago_is_forgotten() -> None:
+    speed = RateMeter(0.0)
+    speed.count(1000, 1.0)
+    assert speed.rate(2.0) > 50
+    assert speed.rate(10 * RATE_SECONDS) < 0.02
+
+
+def test_nothing_was_counted_before_there_was_time() -> None:
+    speed = RateMeter(5.0)
+    speed.count(10, 5.0)
+    assert speed.rate(5.0) == 0.0
