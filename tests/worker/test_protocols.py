@@ -25,7 +25,7 @@ import json
 from dataclasses import asdict
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.protocols import ROBUST
-pose = Pose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
+pose = HandPose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
 print(json.dumps([asdict(ROBUST.trial(pose, number)) for number in range(101)]))
 """
 
