@@ -35,7 +35,7 @@ from qdgrasp_protocol.process import ProcessGroup, lifetime
 from qdgrasp_protocol.session import Role, default_endpoint
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 PACKAGES = ("eclipse-zenoh", "pybullet", "numpy", "ribs", "trimesh", "msgpack", "coacd")
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
@@ -85,8 +85,8 @@ def _check_packages() -> str:
 
 
 def _check_bus() -> str:
-    endpoint = free_endpoint()
-    with ZenohBus.router(endpoint), ZenohBus.connect(endpoint, 5.0) as client:
+    router, endpoint = ZenohBus.embedded(None)
+    with router, ZenohBus.connect(endpoint, 5.0) as client:
         client.put("qdgrasp/v1/doctor/meta", b"{}", encoding="application/json")
     return f"a router listened on {endpoint} and took a client"
 

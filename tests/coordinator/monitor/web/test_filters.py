@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 from tests import browser
-from tests.coordinator.monitor.web.conftest import free_port, serving
+from tests.common import free_port
+from tests.coordinator.monitor.web.conftest import serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, HandMadeRecords, finds
 from tests.coordinator.monitor.web.test_scene import expect
 from tests.coordinator.scenes import made_scene

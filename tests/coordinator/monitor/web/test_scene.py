@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tests import browser
-from tests.coordinator.monitor.web.conftest import free_port, serving
+from tests.common import free_port
+from tests.coordinator.monitor.web.conftest import serving
 from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, HandMadeRecords, finds, random_finds
 from tests.coordinator.scenes import made_scene
 
