@@ -44,11 +44,14 @@ def test_every_package_that_a_run_needs_stands_in_the_notices() -> None:
     assert noticed == names
 
 
-def test_every_package_that_tests_need_stands_in_the_notices() -> None:
-    extra = tomllib.loads(read("pyproject.toml"))["project"]["optional-dependencies"]["dev"]
-    names = {re.split(r"[<>=!~ \[;]", requirement)[0] for requirement in extra}
-    told = read("THIRD_PARTY_NOTICES.md").partition("## Packages for tests")[2]
-    assert {name for name in names if not re.search(rf"\b{re.escape(name)} \(", told)} == set()
+@pytest.mark.parametrize(
+    ("extra", "heading"), [("dev", "tests and checks only"), ("docs", "the documentation site only")]
+)
+def test_every_package_that_tests_or_the_site_need_stands_in_the_notices(extra: str, heading: str) -> None:
+    needed = tomllib.loads(read("pyproject.toml"))["project"]["optional-dependencies"][extra]
+    names = {re.split(r"[<>=!~ \[;]", requirement)[0] for requirement in needed}
+    noticed = read("THIRD_PARTY_NOTICES.md").partition(f"## Packages for {heading}")[2].partition("\n## ")[0]
+    assert {name for name in names if not re.search(rf"\b{re.escape(name)} \(", noticed)} == set()
 
 
 def test_the_readme_shows_commands_that_exist() -> None:

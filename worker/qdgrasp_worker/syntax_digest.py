@@ -82,11 +82,13 @@ def digests(definitions: Mapping[Key, Definition]) -> dict[Key, str]:
     found, kinds = dict.fromkeys(definitions, ""), 0
     while len(set(found.values())) > kinds:
         kinds, before = len(set(found.values())), found
-        found = {
-            key: _sha256(REFERENCE.sub(lambda match: before[Key(*match.groups())], one.text))  # noqa: B023
-            for key, one in definitions.items()
-        }
+        found = {key: _sha256(_resolved(one.text, before)) for key, one in definitions.items()}
     return found
+
+
+def _resolved(text: str, known: Mapping[Key, str]) -> str:
+    """Put the digests of definitions in place of references to them."""
+    return REFERENCE.sub(lambda match: known[Key(*match.groups())], text)
 
 
 def _sha256(text: str) -> str:
