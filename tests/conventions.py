@@ -91,9 +91,14 @@ class Module:
         return self.path.endswith("__init__.py")
 
     @property
+    def is_main(self) -> bool:
+        """Whether `python -m` starts its folder with it; it may call an entry point of a neighbour."""
+        return self.path.endswith("__main__.py")
+
+    @property
     def is_started(self) -> bool:
         """Whether a process starts with it."""
-        return '__name__ == "__main__"' in self.text or self.path.endswith("__main__.py")
+        return '__name__ == "__main__"' in self.text or self.is_main
 
     def imported(self) -> Iterator[str]:
         """Name every module that may be imported here, functions included."""
@@ -182,7 +187,7 @@ def too_long(repository: Repository) -> Iterator[Violation]:
             continue
         if len(importers[module.name]) == 1:
             (only,) = importers[module.name]
-            if source[only].folder == module.folder and not source[only].is_init:
+            if source[only].folder == module.folder and not (source[only].is_init or source[only].is_main):
                 sentence = f"only {only} imports it, and it has {module.lines} lines: it belongs in there"
                 yield Violation(module.path, 1, sentence)
 

@@ -25,13 +25,7 @@ Made = TypeVar("Made")
 
 
 def path_of(name: str, value: str | os.PathLike[str]) -> Path:
-    """A path.
-
-    Raises
-    ------
-    ImpossibleValue
-        It is none.
-    """
+    """Return a path; raises ImpossibleValue for another type."""
     try:
         return Path(value)
     except TypeError:
@@ -39,20 +33,20 @@ def path_of(name: str, value: str | os.PathLike[str]) -> Path:
 
 
 def check_text(name: str, value: object) -> None:
-    """Check a text that may be left out; raises ImpossibleValue where it is none, or empty."""
+    """Check a text that may be None; raises ImpossibleValue for an empty one or another type."""
     if value is not None and not (isinstance(value, str) and value):
         raise ImpossibleValue(name, value, "text")
 
 
 def check_whole(name: str, value: object, least: int, most: float = inf) -> None:
-    """Check a whole number that may be left out; raises ImpossibleValue where it is none or out of bounds."""
+    """Check an integer that may be None; raises ImpossibleValue outside its bounds."""
     if value is not None and not (isinstance(value, int) and _is_within(value, least, most)):
         bounds = f"at least {least}" if most == inf else f"from {least} to {most}"
         raise ImpossibleValue(name, value, f"a whole number, {bounds}")
 
 
 def check_seconds(name: str, value: object, least: float) -> None:
-    """Check a time [s]; raises ImpossibleValue where it is none, or out of bounds."""
+    """Check a time [s]; raises ImpossibleValue below `least` or for another type."""
     if not (isinstance(value, int | float) and _is_within(value, least, maxsize)):
         raise ImpossibleValue(name, value, f"seconds, at least {least:g}")
 
@@ -62,18 +56,7 @@ def _is_within(value: float, least: float, most: float) -> bool:
 
 
 def call_factory(name: str, make: Callable[..., Made], of: object, verbs: Iterable[str]) -> Made:
-    """What a program's function makes of something.
-
-    Parameters
-    ----------
-    verbs
-        The methods that what it makes must have.
-
-    Raises
-    ------
-    InputError
-        It is no function, or makes something else. What it raises itself goes through.
-    """
+    """Call a program's factory, and check that the result has these methods; else InputError."""
     if not callable(make):
         raise ImpossibleValue(name, make, "a class or function that is called with the genes")
     made = make(of)
@@ -83,7 +66,7 @@ def call_factory(name: str, make: Callable[..., Made], of: object, verbs: Iterab
 
 
 class SceneArguments(TypedDict, total=False):
-    """A gripper, an object and an evaluation protocol; what is left out is as `qdgrasp run` has it."""
+    """Gripper, object and evaluation protocol; keys left out are as in `qdgrasp run`."""
 
     gripper: Required[str | os.PathLike[str]]
     """A built-in gripper, one on the asset path, or a gripper's TOML file."""
@@ -101,21 +84,15 @@ class SceneArguments(TypedDict, total=False):
     """Seed of the surface points; 0."""
 
 
-def spec_from_arguments(scenery: SceneArguments, **more: Any) -> RunSpec:
-    """The spec that keyword arguments stand for, files as absolute paths.
-
-    Raises
-    ------
-    InputError
-        A keyword that is none or that is missing, or a value that cannot be; what can is named.
-    """
-    for name in scenery:
+def spec_from_arguments(scene_arguments: SceneArguments, **more: Any) -> RunSpec:
+    """Return the spec of keyword arguments, files as absolute paths; InputError for wrong ones."""
+    for name in scene_arguments:
         if name not in SceneArguments.__annotations__:
             raise UnknownName("keyword", name, SceneArguments.__annotations__)
     for name in sorted(SceneArguments.__required_keys__):
-        if scenery.get(name) is None:
+        if scene_arguments.get(name) is None:
             raise InputError(f"qdgrasp: '{name}' is missing; say {name}=... with a name or a file.")
-    values = {name: value for name, value in ({**scenery, **more}).items() if value is not None}
+    values = {name: value for name, value in ({**scene_arguments, **more}).items() if value is not None}
     for name in ("gripper", "object"):
         if isinstance(values.get(name), os.PathLike):
             values[name] = os.fspath(values[name])
@@ -127,18 +104,18 @@ def spec_from_arguments(scenery: SceneArguments, **more: Any) -> RunSpec:
 POSE_COLUMNS = PoseNames(
     "genomes (x y z)", "genomes (qx qy qz qw)", "genomes (synergy)", "genomes (free joints)"
 )
-"""What columns of genomes are called where a pose is told as it is."""
+"""Names of the columns of genomes of the prior `given`, for error messages."""
 
 
 def layout_of(scene: Scene, prior: str) -> Layout:
-    """The genes that a prior has with a scene.
+    """Return the genes of a prior with a scene.
 
     Raises
     ------
     UnknownName
         There is no such prior.
     JawNeeded
-        It is for two-finger hands, and this hand is none.
+        It is for two-finger hands, and this is another one.
     """
     if prior not in PRIOR_GENES:
         raise UnknownName("prior", prior, PRIOR_GENES)
@@ -146,13 +123,12 @@ def layout_of(scene: Scene, prior: str) -> Layout:
 
 
 def check_genomes(values: ArrayLike, layout: Layout) -> Genomes:
-    """Genomes (n, d) as float32.
+    """Return genomes (n, d) as float32.
 
     Raises
     ------
     ImpossibleValue
-        They have another shape, or hold a number that is not finite or, but for the prior `given`, outside
-        [-1, 1].
+        Another shape, or a number that is not finite or, but for the prior `given`, outside [-1, 1].
     """
     expected = f"numbers of shape (n, {len(layout)}): {', '.join(layout.names)}"
     try:

@@ -1,4 +1,4 @@
-"""Backends: where evaluations are carried out."""
+"""Backends: processes that carry out evaluations."""
 
 import logging
 import os
@@ -24,31 +24,29 @@ from qdgrasp_protocol.spec import MAX_POPULATION
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 log = structlog.get_logger()
-ROUTER_SECONDS = 10.0  # seconds that a router is waited for, and workers before a word is said
+ROUTER_SECONDS = 10.0  # seconds to wait for a router, and for workers before a warning
 Meeting: TypeAlias = tuple[ZenohBus, str]
 """A session on the bus, and the endpoint where that is."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where evaluations are carried out: by workers of this machine, by those at a router, or by both.
-
-    Raises
-    ------
-    InputError
-        A value that cannot be.
-    """
+    """Workers that evaluate: on this machine, at a router, or both."""
 
     workers: int | None = None
     """Worker processes that are started here; None: one per core, and none at a router."""
     connect: str | None = None
-    """Endpoint of a router that runs already, such as "tcp/127.0.0.1:7447", where other workers are; None:
-    this process is the router, on loopback."""
+    """Endpoint of a router with other workers, such as "tcp/127.0.0.1:7447".
+
+        None: this process is the router, on loopback.
+    """
     job: str | None = None
-    """The job's name on the bus; None: one that no other has."""
+    """The job's name on the bus; None: a unique one."""
     security: str | os.PathLike[str] | None = None
-    """Folder of certificates for a router elsewhere: of a coordinator, for `workers` of a worker, and for
-    `optimise` of a recorder; None: links are not encrypted."""
+    """Folder of certificates for a router elsewhere; None: links are not encrypted.
+
+        Of a coordinator, for `workers` also of a worker, and for `optimise` of a recorder.
+    """
     batch_size: int | None = None
     """Rows in a batch; None: measured. No result depends on it."""
 
@@ -71,24 +69,18 @@ class Place:
 
     @property
     def hands(self) -> int:
-        """How many workers are started here."""
+        """Number of workers that are started here."""
         if self.workers is not None:
             return self.workers
         return 0 if self.connect else len(os.sched_getaffinity(0))
 
     @property
     def proof(self) -> list[str]:
-        """What every process that is started here is given."""
+        """Credential flags of every process that is started here."""
         return ["--security", str(self.security)] if self.security else []
 
     def check_hands(self) -> None:
-        """Check that somebody can come who evaluates.
-
-        Raises
-        ------
-        InputError
-            No worker is started, and nobody else learns where this is.
-        """
+        """Raise InputError if no worker is started here and none can connect."""
         if not self.hands and self.connect is None:
             raise InputError(
                 "Place(workers=0) has nobody who evaluates: start workers, or name a router that has some "
@@ -96,7 +88,7 @@ class Place:
             )
 
     def meet(self) -> Meeting:
-        """A session on the bus, and where that is.
+        """Open a session on the bus; also return its endpoint.
 
         Raises
         ------
@@ -113,13 +105,7 @@ HERE = Place()  # This machine, all of it
 
 
 def check_place(place: object) -> None:
-    """Check that a program says by a `Place` where something is done.
-
-    Raises
-    ------
-    ImpossibleValue
-        It says something else.
-    """
+    """Raise ImpossibleValue unless it is a `Place`."""
     if not isinstance(place, Place):
         raise ImpossibleValue("place", place, "a qdgrasp.Place, such as qdgrasp.Place(workers=2)")
 
@@ -135,9 +121,9 @@ def open_place(
     logs
         The folder in which each process has a log.
     job
-        The job's name unless the place has one; None: one that no other has.
+        The job's name unless the place has one; None: a unique one.
     meeting
-        What the place's `meet` gave; None: it is asked.
+        Result of the place's `meet`; None: it is called.
 
     Raises
     ------
@@ -152,17 +138,17 @@ def open_place(
 
 
 class SilentProgress:
-    """A display that shows nothing, and only logs what happens to processes, and that nobody evaluates."""
+    """A display that shows nothing, and logs process events and missing workers."""
 
     def __init__(self) -> None:
-        self._is_told = False
+        self._has_warned = False
 
     def show(self, figures: JobStatus) -> None:
-        """Say once that no worker has come, long after one was to."""
-        if not (self._is_told or figures.workers or figures.rate) and figures.seconds > ROUTER_SECONDS:
-            self._is_told = True
+        """Warn once if no worker has joined in `ROUTER_SECONDS`."""
+        if not (self._has_warned or figures.workers or figures.rate) and figures.seconds > ROUTER_SECONDS:
+            self._has_warned = True
             self.say(f"job '{figures.job}' waits: no worker has come to it yet")
 
     def say(self, sentence: str) -> None:
-        """Note what happened."""
+        """Log what happened."""
         log.warning(sentence)

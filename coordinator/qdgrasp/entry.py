@@ -1,6 +1,7 @@
-"""Where the commands begin: before anything else is loaded, so that a signal ends them without a trace.
+"""Entry points of the commands.
 
-Loading takes a part of a second. From then on `run_command` and `lifetime` hear the signals.
+Signals are handled before anything else is loaded, so that they end a command without a traceback. Loading
+takes a part of a second; from then on `run_command` and `lifetime` handle them.
 """
 
 import os

@@ -31,49 +31,49 @@ from qdgrasp_protocol.text import counted
 
 
 class GenomeRequest:
-    """Genomes that were asked for together, and what becomes of them."""
+    """Genomes that were asked for together, and their rows."""
 
-    def __init__(self, assignment: RunPlan) -> None:
-        self.assignment = assignment
-        self.memory = MemorySink(assignment.shape)
+    def __init__(self, plan: RunPlan) -> None:
+        self.plan = plan
+        self.memory = MemorySink(plan.shape)
         self.rows: Future[Rows] = Future()
         """Rows as in a journal, trials too."""
 
-    def look(self) -> None:
-        """See whether all of them are there."""
-        if self.assignment.pipeline.finished is not None and not self.rows.done():
+    def settle(self) -> None:
+        """Set the result once all rows are there."""
+        if self.plan.pipeline.finished is not None and not self.rows.done():
             self.rows.set_result(self.memory.rows)
 
     def fail(self, why: BaseException) -> None:
-        """Tell whoever waits that there will be no rows."""
+        """Pass an error to the thread that waits for the rows."""
         if not self.rows.done():
             self.rows.set_exception(why)
 
 
 class GenomeRequests:
-    """A programme whose runs are made as somebody asks for them, until it is closed."""
+    """A run queue that is filled while it is being worked off, until it is closed."""
 
     def __init__(self) -> None:
         self.extent = JobExtent.of({})
         self._waiting: SimpleQueue[RunPlan | None] = SimpleQueue()
 
-    def put(self, assignment: RunPlan) -> None:
-        """Have it carried out."""
-        self._waiting.put(assignment)
+    def put(self, plan: RunPlan) -> None:
+        """Add a run."""
+        self._waiting.put(plan)
 
     def close(self) -> None:
-        """Ask for no more."""
+        """End the queue."""
         self._waiting.put(None)
 
     def next(self) -> RunPlan | None:
-        """The next one, waited for; None when there will be none."""
+        """Wait for the next run; None when the queue is closed."""
         return self._waiting.get()
 
     def put_back(self, run: str) -> None:
-        """What is kept in memory loses nothing."""
+        """Do nothing: rows in memory are not lost."""
 
 
-GENERATION = 4096  # Genomes that are handed out before the first result is waited for
+GENERATION = 4096  # genomes handed out before the first result is awaited
 
 
 class Evaluations:
@@ -86,7 +86,7 @@ class Evaluations:
     Parameters
     ----------
     prior
-        How genomes are decoded: "contact", "approach", "antipodal", "spherical", "aimed" or "given"
+        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "aimed" or "given"
         (docs/methods.md).
     place
         Where it is done.
@@ -120,34 +120,32 @@ class Evaluations:
         self._bundle = pack_scene(self.scene)
         self._shape = row_shape(self.scene, prior)
         self.endpoint = ""
-        """Where its bus is, within the with-block: other workers may join there, and `qdgrasp jobs` looks."""
+        """Endpoint of its bus within the with-block; other workers and `qdgrasp jobs` may connect."""
         self._place = place
-        self._lots = GenomeRequests()
-        self._pending: list[
-            GenomeRequest
-        ] = []  # asked for by this thread or that, looked after by the coordinator's
+        self._queue = GenomeRequests()
+        self._pending: list[GenomeRequest] = []
         self._count = count(1)
         self._stop = Stop()
-        self._doors: ExitStack | None = None
+        self._open: ExitStack | None = None
         self._end: BaseException | None = None
 
     def __enter__(self) -> Self:
-        with ExitStack() as doors:
-            logs = Path(doors.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
-            stage = doors.enter_context(open_place(self._place, logs, SilentProgress()))
-            stage.start_workers(self._place.hands)
-            self.endpoint = stage.endpoint
-            thread = threading.Thread(target=self._serve, args=(stage,), name="evaluations", daemon=True)
+        with ExitStack() as stack:
+            logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
+            session = stack.enter_context(open_place(self._place, logs, SilentProgress()))
+            session.start_workers(self._place.hands)
+            self.endpoint = session.endpoint
+            thread = threading.Thread(target=self._serve, args=(session,), name="evaluations", daemon=True)
             thread.start()
-            doors.callback(thread.join)
-            doors.callback(self._leave)
-            self._doors = doors.pop_all()
+            stack.callback(thread.join)
+            stack.callback(self._leave)
+            self._open = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._doors is not None:
-            self._doors.close()
-            self._doors = None
+        if self._open is not None:
+            self._open.close()
+            self._open = None
 
     def evaluate(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
         """Evaluate genomes, in the order that they have.
@@ -171,9 +169,9 @@ class Evaluations:
         ImpossibleValue
             They have another shape, or hold what a genome, a pose or the hand cannot.
         TimeoutError
-            The time is over. What was asked is evaluated all the same, and nobody gets its rows.
+            The time is over. The genomes are evaluated all the same, and their rows are dropped.
         EndedEarly
-            Somebody cancelled the job, or workers die again and again.
+            The job was cancelled, or workers die again and again.
         """
         rows = self.journal(genomes, timeout)
         nominal: Rows = rows[rows["trial"] == 0]
@@ -181,26 +179,26 @@ class Evaluations:
         return nominal
 
     def journal(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
-        """The same with every row that a journal would have, trials too, and nominal fitness."""
-        if self._doors is None:
+        """Return every row that a journal would have, trials too, with nominal fitness."""
+        if self._open is None:
             raise InputError("Evaluations are opened by a with-block: `with qdgrasp.Evaluations(...) as e:`.")
         asked = check_genomes(genomes, self.layout)
         if not len(asked):
             return self._shape.empty(0)
         if self.prior == GIVEN:
             check_fixed_poses(asked, self.scene.gripper)
-        lot = GenomeRequest(self._assignment(asked))
-        self._pending.append(lot)
-        self._lots.put(lot.assignment)
+        request = GenomeRequest(self._plan(asked))
+        self._pending.append(request)
+        self._queue.put(request.plan)
         if self._end is not None:
             raise self._end
         try:
-            return lot.rows.result(timeout)
+            return request.rows.result(timeout)
         except TimeoutError:
             genomes = counted(len(asked), "genome")
             raise TimeoutError(f"After {timeout:g} s there are not all rows of {genomes}.") from None
 
-    def _assignment(self, genomes: Genomes) -> RunPlan:
+    def _plan(self, genomes: Genomes) -> RunPlan:
         pipeline = Pipeline(
             FixedPoseSearch(genomes, GENERATION),
             self._shape,
@@ -214,32 +212,32 @@ class Evaluations:
             f"lot-{next(self._count)}", spec, self._bundle, self.prior, self._shape, pipeline, len(genomes)
         )
 
-    # What follows runs in a thread of its own.
+    # The thread of the coordinator.
 
-    def _serve(self, stage: LocalSession) -> None:
-        """Be the coordinator until the with-block is left."""
+    def _serve(self, session: LocalSession) -> None:
+        """Coordinate the job until the with-block is left."""
         try:
-            stage.coordinate(self._lots, self._record, self._stop, self._place.batch_size, self._look)
-        except BaseException as error:  # noqa: BLE001  # it is raised where somebody waits
+            session.coordinate(self._queue, self._record, self._stop, self._place.batch_size, self._settle)
+        except BaseException as error:  # noqa: BLE001  # it is raised in the threads that wait
             self._end = error
         else:
             self._end = EndedEarly("The job has ended.")
-        for lot in self._pending:
-            lot.fail(self._end)
+        for request in self._pending:
+            request.fail(self._end)
 
-    def _look(self) -> None:
-        for lot in list(self._pending):
-            lot.look()
-            if lot.rows.done():
-                self._pending.remove(lot)
+    def _settle(self) -> None:
+        for request in list(self._pending):
+            request.settle()
+            if request.rows.done():
+                self._pending.remove(request)
 
-    def _record(self, assignment: RunPlan) -> MemorySink:
-        """Where the rows of a lot go."""
-        return next(lot.memory for lot in self._pending if lot.assignment is assignment)
+    def _record(self, plan: RunPlan) -> MemorySink:
+        """Return the sink for the rows of a request."""
+        return next(request.memory for request in self._pending if request.plan is plan)
 
     def _leave(self) -> None:
         self._stop.set(signal.SIGTERM)
-        self._lots.close()
+        self._queue.close()
 
 
 POSE_KEYWORDS = PoseNames("positions", "quaternions_xyzw", "synergies", "spreads")
@@ -254,7 +252,7 @@ def evaluate(
     place: Place = HERE,
     **scenery: Unpack[SceneArguments],
 ) -> dict[str, NDArray[np.generic]]:
-    """Score hand poses; what `qdgrasp evaluate` does, for arrays.
+    """Score arrays of hand poses, as `qdgrasp evaluate` does for files.
 
     Parameters
     ----------

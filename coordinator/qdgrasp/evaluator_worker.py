@@ -20,7 +20,7 @@ def serve(
     row_seconds: float = 30.0,
     wait: float = 30.0,
 ) -> None:
-    """Serve the jobs on a bus with an evaluator of one's own; what `qdgrasp-worker --evaluator` does.
+    """Serve jobs on a bus with a custom evaluator; `qdgrasp-worker --evaluator` does the same.
 
     It joins, holds leases and credit, and hands back what it cannot finish, as every worker does. The
     evaluator runs in a process of its own, which may die: what it was at is tried again, row by row. Workers
@@ -81,12 +81,12 @@ def serve(
 
 
 def evaluator_name(evaluator: EvaluatorFactory) -> str:
-    """How another process finds an evaluator: FILE.py:NAME, or MODULE:NAME where it is part of a package.
+    """Return FILE.py:NAME of an evaluator, or MODULE:NAME in a package, for other processes.
 
     Raises
     ------
     InputError
-        No other process can: it does not stand at the top of a module that lies in a file.
+        It does not stand at the top of a module that lies in a file.
     """
     name = getattr(evaluator, "__qualname__", "")
     module = sys.modules.get(getattr(evaluator, "__module__", None) or "")

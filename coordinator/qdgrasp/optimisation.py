@@ -39,10 +39,10 @@ class Search(Protocol):
     """
 
     def ask(self, generation: int) -> ArrayLike:
-        """The genomes of a generation: (n, d) in [-1, 1], n at most 4096; none when nothing is left."""
+        """Return genomes (n, d) in [-1, 1], n at most 4096; n = 0 ends the run."""
 
     def tell(self, generation: int, rows: Rows) -> None:
-        """Hear what all of them gave: rows (n,) in their order; `rows["fitness"]` is what counts.
+        """Take the rows (n,) of a generation in order; `rows["fitness"]` is the score.
 
         Where the protocol has trials it is the sum over those of a success. The generation that reaches the
         budget is not told.
@@ -50,25 +50,25 @@ class Search(Protocol):
 
 
 Make: TypeAlias = Callable[[Layout], Search]
-"""Makes a search that nothing was asked of, for genomes with this layout: a class, most often."""
+"""Makes a new search for genomes with this layout; most often a class."""
 
 
 class CheckedSearch:
-    """A program's search, whose genomes are looked at before anybody evaluates them."""
+    """A custom search whose genomes are checked before they are evaluated."""
 
     def __init__(self, make: Make, layout: Layout) -> None:
         self._search = call_factory("make", make, layout, ("ask", "tell"))
         self._layout = layout
 
     def ask(self, generation: int) -> Genomes:
-        """The genomes of a generation, as float32."""
+        """Return the genomes of a generation, as float32."""
         genomes = check_genomes(self._search.ask(generation), self._layout)
         if len(genomes) > MAX_POPULATION:
             raise ImpossibleValue("genomes", genomes.shape, f"at most {MAX_POPULATION} in a generation")
         return genomes
 
     def tell(self, generation: int, rows: Rows) -> None:
-        """What they gave."""
+        """Pass on the rows of a generation."""
         self._search.tell(generation, rows)
 
 
@@ -85,7 +85,7 @@ def optimise(
     place: Place = HERE,
     **scenery: Unpack[SceneArguments],
 ) -> Run:
-    """Carry out a run with a search of one's own: coordinator, recorder and workers as of any run.
+    """Carry out a run with a custom search: coordinator, recorder and workers as in any run.
 
     The folder is a run's: `qdgrasp info`, `show`, `export` and the others read it. Only this goes on with it.
 
@@ -126,7 +126,7 @@ def optimise(
         or the journal is not what the search asks again. What is known before anything is evaluated leaves
         no folder.
     EndedEarly
-        Somebody cancelled the job, or processes die again and again; with `resume` it is gone on with.
+        The job was cancelled, or processes die again and again; with `resume` it is gone on with.
 
     Examples
     --------
@@ -166,13 +166,13 @@ def optimise(
         with (
             shows as shown,
             folder.job.supervise(),
-            open_place(place, folder.job.logs, shown, folder.job.name, meeting) as stage,
+            open_place(place, folder.job.logs, shown, folder.job.name, meeting) as session,
         ):
-            stage.start_recorder(folder.path)
-            stage.start_workers(place.hands)
-            stage.coordinate(
+            session.start_recorder(folder.path)
+            session.start_workers(place.hands)
+            session.coordinate(
                 SingleRunQueue(lambda: plan_with_search(searches.next(), spec, scene, bundle), evaluations),
-                lambda run: RecorderClient(stage.bus, stage.job, run.shape),
+                lambda run: RecorderClient(session.bus, session.job, run.shape),
                 Stop(),
                 place.batch_size,
             )
@@ -180,7 +180,7 @@ def optimise(
 
 
 class SearchFactory:
-    """A program's searches, one for each time that the run begins: the first is made before anything else."""
+    """Makes a new search each time that the run begins, the first one at once."""
 
     def __init__(self, make: Make, layout: Layout) -> None:
         self._make = make
@@ -188,12 +188,12 @@ class SearchFactory:
         self._made = [CheckedSearch(make, layout)]
 
     def next(self) -> CheckedSearch:
-        """One that nothing was asked of."""
+        """Return a search that was not asked yet."""
         return self._made.pop() if self._made else CheckedSearch(self._make, self._layout)
 
 
 def _is_there(path: Path, spec: RunSpec, *, resume: bool) -> bool:
-    """Whether the run was begun; checks that it can be begun, or gone on with."""
+    """Check that the run can be begun or continued; True: it was begun."""
     if not RunFolder.is_run(path):
         RunFolder.check_free(path)
         return False

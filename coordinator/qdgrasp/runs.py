@@ -18,7 +18,7 @@ from qdgrasp_protocol.spec import RunSpec
 
 
 class Run:
-    """A run's folder, to read, also while the run goes on: each call tells what is recorded by then.
+    """A run's folder, for reading; each call returns what is recorded by then.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Run:
 
     @property
     def spec(self) -> RunSpec:
-        """What was asked for: gripper, object, method, protocol, seed, budget."""
+        """Its spec: gripper, object, method, protocol, seed, budget."""
         return self._folder.spec
 
     @cached_property
@@ -61,16 +61,16 @@ class Run:
         return run_summary(self._folder)
 
     def grasps(self, *, min_fitness: float = 1, top: int | None = None, diverse: int | None = None) -> Grasps:
-        """The grasps that it has found, as arrays.
+        """Return the grasps found so far, as arrays.
 
         Parameters
         ----------
         min_fitness
-            Shakes survived, at least: 1 for grasps, 2 for robust ones, 0 for all successes.
+            Least number of shakes survived: 1 for grasps, 2 for robust ones, 0 for all successes.
         top
-            So many at most, best first.
+            At most so many, best first.
         diverse
-            So many at most, well spread over positions and orientations, the best one first.
+            At most so many, well spread over positions and orientations, the best one first.
 
         Returns
         -------
@@ -88,21 +88,20 @@ class Run:
         return select_grasps(read_run(self._folder), min_fitness, top, diverse)
 
     def rows(self) -> Rows:
-        """Every row of the journal (n,), failures and trials too, as one structured array.
+        """Return every row of the journal (n,), failures and trials too, as a structured array.
 
         The columns stand in docs/run-folder.md. A folder that was pruned or merged has the successes alone.
         """
         parts = list(self.blocks())
-        return np.concatenate(parts) if parts else self._empty()
-
-    def blocks(self) -> Iterator[Rows]:
-        """The same some thousands at a time, for runs that do not fit into memory."""
-        with self._folder.journal() as journal:
-            yield from journal.kept()
-
-    def _empty(self) -> Rows:
+        if parts:
+            return np.concatenate(parts)
         with self._folder.journal() as journal:
             return journal.shape.empty(0)
+
+    def blocks(self) -> Iterator[Rows]:
+        """Yield the same rows some thousands at a time, for runs that do not fit into memory."""
+        with self._folder.journal() as journal:
+            yield from journal.kept()
 
 
 def open(path: str | os.PathLike[str]) -> Run:  # noqa: A001  # said as qdgrasp.open

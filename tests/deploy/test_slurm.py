@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.common import PATIENCE, own_endpoint
+from tests.common import PATIENCE, free_port
 from tests.deploy.commands import DEPLOY, filled, understood
 
 from qdgrasp_coordinator.campaign.campaign_file import read_campaign
@@ -99,7 +99,7 @@ class Desk:
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Submit a script, and wait for its end."""
-        port = own_endpoint().rpartition(":")[2]
+        port = str(free_port())
         environment = os.environ | {
             "PATH": f"{self._home / 'bin'}:{os.environ['PATH']}",
             "QDGRASP_CACHE": str(self._home / "cache"),

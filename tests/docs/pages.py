@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.common import own_endpoint
+from tests.common import free_port, own_endpoint
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -286,10 +286,10 @@ class PageRun:
         self.places = {
             "tcp": tcp,
             "own": own_endpoint(),
-            "tls": own_endpoint().replace("tcp/", "tls/"),
-            "other": own_endpoint().replace("tcp/", "tls/"),
+            "tls": own_endpoint("tls"),
+            "other": own_endpoint("tls"),
             "lab": "lab-7",
-            "web": own_endpoint().removeprefix("tcp/"),
+            "web": f"127.0.0.1:{free_port()}",
             "hostname": socket.gethostname(),
         }
         programs = Path(sys.executable).parent

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -14,14 +14,14 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
-from tests.common import PATIENCE, own_endpoint
+from tests.common import PATIENCE, free_port, own_endpoint
 
+from qdgrasp_protocol import session
 from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Query, Sample
 from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.session import LOOPBACK, PORT
 from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
 TEXT = "text/plain"
@@ -352,11 +352,14 @@ class TestZenohBus:
             with pytest.raises(EndpointError, match="tcp/HOST:PORT"):
                 opener(text)
 
-    def test_a_free_endpoint_is_another_one_while_the_default_is_taken(self) -> None:
-        with ExitStack() as stack:
-            with suppress(OSError):  # somebody else has it
-                stack.enter_context(socket.create_server((LOOPBACK, PORT)))
-            assert free_endpoint() != f"tcp/{LOOPBACK}:{PORT}"
+    def test_a_free_endpoint_is_another_one_while_the_default_is_taken(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(session, "PORT", free_port())
+        default = f"tcp/{session.LOOPBACK}:{session.PORT}"
+        assert free_endpoint() == default
+        with socket.create_server((session.LOOPBACK, session.PORT)):
+            assert free_endpoint() != default
 
     def test_a_process_that_leaves_its_session_ends(self) -> None:
         endpoint = own_endpoint()

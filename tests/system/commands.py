@@ -70,6 +70,8 @@ SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
 BUDGET = 160
 """Evaluations of a run of which the last are aimed, and that takes long enough to disturb it."""
 LONG = (*SMALL, "--evaluations", BUDGET)
+LISTENING = ("run", "campaign", "resume", "rerank")
+"""Commands that carry out a job and listen for its workers."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class Commands:
         """Run one of the commands, named by its function in `qdgrasp.entry`, to its end."""
         with TemporaryDirectory() as folder:
             out, err = said = [Path(folder) / name for name in ("out", "err")]
-            words = [entry, *map(str, arguments)]
+            words = [entry, *map(str, self._with_port(arguments) if entry == "qdgrasp" else arguments)]
             code = run(words, self.home, self._environment(environment), said)
             return Done(code, out.read_text(), err.read_text())
 
@@ -104,6 +106,8 @@ class Commands:
         self, *arguments: object, module: str = "qdgrasp", file_size: int | None = None, **environment: str
     ) -> subprocess.Popen[str]:
         """Start a command; no file that it or its processes write may be longer than `file_size`."""
+        if module == "qdgrasp":
+            arguments = self._with_port(arguments)
         command = [sys.executable, "-m", module, *map(str, arguments)]
         process = subprocess.Popen(
             command,
@@ -117,6 +121,12 @@ class Commands:
         )
         self._started.append(process)
         return process
+
+    def _with_port(self, arguments: tuple[object, ...]) -> tuple[object, ...]:
+        """Have a job listen on a port of its own: others may take the default one while it is restarted."""
+        if arguments and arguments[0] in LISTENING and "--listen" not in arguments:
+            return (*arguments, "--listen", own_endpoint())
+        return arguments
 
     def _environment(self, more: dict[str, str]) -> dict[str, str]:
         return {**os.environ, "QDGRASP_CACHE": str(self.home / "cache"), **more}

@@ -161,7 +161,7 @@ def secure(commands: Commands) -> qdgrasp.Place:
     """A router to which links are encrypted, and one worker there."""
     lab = SecurityFolder.create(commands.home / "lab", hosts=["127.0.0.1"], days=1)
     gate = lab.add(Role.ROUTER, "gate", hosts=["127.0.0.1"], days=1)
-    endpoint = own_endpoint().replace("tcp/", "tls/")
+    endpoint = own_endpoint("tls")
     router = commands.start(
         "--listen", endpoint, "--security", gate, module="qdgrasp_coordinator.cli.router_process"
     )

@@ -53,7 +53,7 @@ def routers(qdgrasp: Commands, folder: Path) -> Routers:
 
 
 def encrypted_endpoint() -> str:
-    return own_endpoint().replace("tcp/", "tls/")
+    return own_endpoint("tls")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -149,7 +149,7 @@ def test_a_run_over_encrypted_links_records_the_same_bytes(
     folder, digest, _ = reference
     home = SecurityFolder.create(qdgrasp.home / "security", hosts=["127.0.0.1"], days=1)
     nodes = {name: home.add(Role(name), name, hosts=["127.0.0.1"], days=1) for name in MODULES}
-    endpoint = own_endpoint().replace("tcp/", "tls/")
+    endpoint = own_endpoint("tls")
     job = ("--job", "run", "--connect", endpoint)
     arguments = {
         "router": ("--listen", endpoint),
@@ -172,7 +172,7 @@ def test_a_run_over_encrypted_links_records_the_same_bytes(
 def test_jobs_are_seen_and_cancelled_with_the_admins_certificate_and_no_other(qdgrasp: Commands) -> None:
     home = SecurityFolder.create(qdgrasp.home / "security", hosts=["127.0.0.1"], days=1)
     monitor = home.add(Role.MONITOR, "screen", hosts=["127.0.0.1"], days=1)
-    endpoint = own_endpoint().replace("tcp/", "tls/")
+    endpoint = own_endpoint("tls")
     everywhere = endpoint.replace("127.0.0.1", "0.0.0.0")  # noqa: S104 - links are encrypted
     flags = ("--workers", 0, "--listen", everywhere, "--out", "mugs")
     running = qdgrasp.start("run", *SMALL, *flags, QDGRASP_SECURITY=str(home.path))

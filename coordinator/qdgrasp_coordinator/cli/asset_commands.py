@@ -26,18 +26,12 @@ from qdgrasp_protocol.spec import RunSpec
 
 
 def print_findings(found: AssetReport, *, as_json: bool = False) -> None:
-    """Print all that was found."""
+    """Print a report as a table or as JSON."""
     typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
 
 
 def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as it is") -> None:
-    """Refuse an asset at fault: each fault was told once, in the list.
-
-    Raises
-    ------
-    AssetError
-        There are faults.
-    """
+    """Raise AssetError for an asset with faults; they are printed already."""
     if found.faults:
         count = len(found.faults)
         listed = "the fault that is listed" if count == 1 else f"the {count} faults that are listed"
@@ -45,7 +39,7 @@ def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as i
 
 
 def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> SharedFolder | None:
-    """The folder that a flag names for the pictures of what has these names; None: none are asked for.
+    """Return the folder that a flag names for pictures; None: no pictures are asked for.
 
     Raises
     ------
@@ -71,7 +65,7 @@ def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> Shared
 
 
 def picture_file(folder: SharedFolder, name: str) -> OutFile:
-    """The picture of what has a name, in the place of an earlier one that was drawn here."""
+    """Return the picture's file; an earlier picture drawn by this program is replaced."""
     return folder.file(f"{Path(name).stem}.png", is_kind=is_drawn_here)
 
 
@@ -103,10 +97,11 @@ def fetch(
         str, typer.Option("--from", envvar="QDGRASP_YCB_URL", help="Address of the YCB set or of a mirror.")
     ] = YCB_HOME,
 ) -> None:
-    """Fetch scans of the YCB Object and Model Set (CC BY 4.0) and check them; repeat it to go on.
+    """Fetch scans of the YCB Object and Model Set (CC BY 4.0) and check them;
+    repeat it to go on.
 
     Example: qdgrasp asset fetch ycb_mug ycb_bowl
-    """
+    """  # noqa: D205  # typer joins the lines
     wanted = names or [name for name in ycb.SCAN_NAMES if ycb.scan_source(name) == catalog.ABSENT]
     typer.echo(YCB_TERMS, err=True)
     refused = []
@@ -180,7 +175,7 @@ def _drawn(name: str, folder: SharedFolder) -> Path:
 
 
 def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:
-    """A new bar, and how it is moved: by the bytes that are there and those that there will be."""
+    """Add a bar; returns a function that sets it, given the bytes so far and in all."""
     bar = bars.add_task(name, total=None)
     return lambda here, total: bars.update(bar, completed=here, total=total)
 

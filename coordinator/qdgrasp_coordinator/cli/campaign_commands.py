@@ -1,9 +1,8 @@
 """`qdgrasp campaign`, `analyse`, `merge` and `prune`: many runs, and what they found."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import typer
@@ -70,11 +69,12 @@ def campaign(
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
-    job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
+    job: options.Job = None,
     disk_wait: options.DiskWait = 60.0,
     list_runs: Annotated[bool, typer.Option("--list", help="Print the runs, and do nothing.")] = False,
 ) -> None:
-    """Carry out all runs of a campaign; one that was stopped goes on, and finished runs are not repeated.
+    """Carry out all runs of a campaign;
+    one that was stopped goes on, and finished runs are not repeated.
 
     The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
     --successes and --no-new-cell replace what its [defaults] say; a [[cross]] with its own keeps that.
@@ -85,7 +85,7 @@ def campaign(
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
 
     Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
-    """
+    """  # noqa: D205  # typer joins the lines
     goals = {"successes": successes, "no_new_cell": no_new_cell}
     keys = {
         "gripper": gripper,
@@ -94,61 +94,47 @@ def campaign(
         "protocol": protocol,
         "evaluations": evaluations,
     }
-    weighing, metres = MassRule(mass, density), scale_of(units, scale)
-    if objects is None:
-        _check_left_out({**keys, "mass": mass, "density": density, "scale": metres})
-        asked = _campaign_of(what, goals)
+    metres = scale_of(units, scale)
+    if objects is not None:
+        if what is not None:
+            raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
+        if None not in (mass, density):
+            raise InputError("--mass and --density say the same of each object: give one of them.")
+        asked = campaign_of_meshes(objects, MassRule(mass, density), metres, {**keys, **goals})
+    elif flags := options.given(**keys, mass=mass, density=density, scale=metres):
+        raise InputError(
+            f"--{next(iter(flags))} goes with --objects DIR: a campaign's file says its own, "
+            "see docs/campaigns.md."
+        )
+    elif what is None:
+        raise InputError(
+            "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
+        )
     else:
-        _check_alone(what, weighing)
-        asked = campaign_of_meshes(objects, weighing, metres, {**keys, **goals})
+        asked = read_campaign(open_campaign(what).path / CAMPAIGN if what.is_dir() else what, goals=goals)
     path = _campaign_folder(what, objects, out)
     if list_runs:
-        print_runs(asked)
+        for name, spec in asked.runs.items():
+            typer.echo(f"{name}  {spec.evaluations}")
+        typer.echo(asked.words)
         return
     if not JobFolder.is_job(path):
         check_meshes(asked.runs.values())
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)
-    door = ListenConfig(listen, security, insecure)
-    count = options.cores() if workers is None else workers
-    team = LocalJobConfig(count, batch_size, door, disk_wait, seconds)
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
     with lifetime("qdgrasp campaign") as stop, progress_display(path.name, asked.evaluations) as shown:
         shown.say(asked.words)
         if extent.runs_done:
             shown.say(f"{extent.runs_done} of {counted(extent.runs, 'run is', 'runs are')} finished already")
         if extent.runs_done < extent.runs:
-            run_job(folder, team, shown, stop)
+            run_job(folder, config, shown, stop)
     check_not_stopped(folder, stop)
     print_summary(folder, asked)
 
 
-def _campaign_of(what: Path | None, goals: Mapping[str, int | None]) -> Campaign:
-    """The campaign of a file, or of the folder of one that began."""
-    if what is None:
-        raise InputError(
-            "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
-        )
-    return read_campaign(open_campaign(what).path / CAMPAIGN if what.is_dir() else what, goals=goals)
-
-
-def _check_left_out(said: Mapping[str, Any]) -> None:
-    """Check that nothing is said that a campaign's file says itself."""
-    for key, value in said.items():
-        if value is not None:
-            raise InputError(
-                f"--{key} goes with --objects DIR: a campaign's file says its own, see docs/campaigns.md."
-            )
-
-
-def _check_alone(what: Path | None, weighing: MassRule) -> None:
-    if what is not None:
-        raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
-    if None not in (weighing.mass, weighing.density):
-        raise InputError("--mass and --density say the same of each object: give one of them.")
-
-
 def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) -> Path:
-    """The campaign's folder."""
     if what is None or not what.is_dir():
         return out or Path("runs") / (what or objects or Path()).absolute().stem
     if out is not None:
@@ -156,15 +142,8 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) 
     return what
 
 
-def print_runs(asked: Campaign) -> None:
-    """Print the runs of a campaign."""
-    for name, spec in asked.runs.items():
-        typer.echo(f"{name}  {spec.evaluations}")
-    typer.echo(asked.words)
-
-
 def print_summary(folder: JobFolder, asked: Campaign) -> None:
-    """Print what was found."""
+    """Print the campaign's figures."""
     found = CampaignRunQueue(folder, asked.runs).extent
     if found.runs_done < found.runs:
         typer.echo(f"Not all runs are finished; {resume_hint(folder)}")
@@ -191,13 +170,14 @@ def analyse(
     log: Annotated[bool, typer.Option("--log", help="Curves on logarithmic axes.")] = False,
     as_json: options.Json = False,
 ) -> None:
-    """Draw and tabulate what the runs of a campaign found, and hold the paper's claims against them.
+    """Draw and tabulate what the runs of a campaign found,
+    and hold the paper's claims against them.
 
     Writes four figures as PNG, SVG and CSV, and the tables as Markdown and CSV; also while runs go on. Runs
     that keep too little for curves, as pruned ones may, are left out and named.
 
     Example: qdgrasp analyse campaigns/paper-small
-    """
+    """  # noqa: D205  # typer joins the lines
     from qdgrasp_coordinator.report.report import REPORT_FOLDER, write_report  # matplotlib takes its time
     from qdgrasp_coordinator.report.tables import left_out_words
 
@@ -245,7 +225,7 @@ def merge(
     typer.echo(f"{found.words} {counted(len(found.sources), 'run')} in {out}.")
 
 
-MIN_MEGABYTES = 50_000  # So many bytes are told as 0.1 MB
+MIN_MEGABYTES = 50_000  # bytes, 0.1 MB when rounded
 
 
 def prune(
@@ -274,5 +254,5 @@ def prune(
 
 
 def _freed_room(freed: int) -> str:
-    """How much room there is now, by the bytes that were freed; of a small run it may be less than before."""
+    """Say how many bytes were freed; a small run may even have grown."""
     return f"{freed / 1e6:.1f} MB are free" if freed >= MIN_MEGABYTES else "Hardly any room is free"

@@ -53,13 +53,14 @@ def coordinator(
     ] = False,
     version: cli_support.VersionOption = False,
 ) -> None:
-    """Run the searches of a job: ask, dispatch to workers, settle, tell; a recorder keeps what is found.
+    """Run the searches of a job: ask, dispatch to workers, settle, tell;
+    a recorder keeps what is found.
 
     Exit codes: 0 done, cancelled, or --seconds are over; 2 bad input, or nothing to connect to; 3 another
     coordinator goes on with the job; 143 SIGTERM. Start it again after any other one.
 
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
-    """
+    """  # noqa: D205  # typer joins the lines
     folder = JobFolder.open(what) if what.is_dir() else None
     programme = runs_of_job(what, folder)
     name = job or (folder.name if folder else job_name(what.stem))
@@ -102,7 +103,7 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
 def _open_session(
     listen: str | None, connect: str | None, security: Path | None, wait: float, stop: Stop, *, insecure: bool
 ) -> tuple[ZenohBus, str]:
-    """A session at a router that runs already, or one that is the router itself, and where that is."""
+    """Open a session at a running router, or as the router itself; also return its endpoint."""
     if connect:
         credentials = Credentials.find(security, Role.COORDINATOR)
         return ZenohBus.connect(connect, wait, stop, credentials), connect

@@ -106,12 +106,13 @@ def import_(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
 ) -> None:
-    """Turn a file of grasps, of ours or of others, into poses that `qdgrasp evaluate` scores again.
+    """Turn a file of grasps, of ours or of others,
+    into poses that `qdgrasp evaluate` scores again.
 
     The poses are those of the hand's root link in the object's centre-of-mass frame, as they are simulated.
 
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
-    """
+    """  # noqa: D205  # typer joins the lines
     from qdgrasp_coordinator.export.frames import frame_of  # takes its time to load
     from qdgrasp_coordinator.export.importer import hand_named, import_poses, object_frame
 
@@ -127,13 +128,13 @@ def import_(
     found.write(output)
     for note in found.notes:
         typer.echo(note, err=True)
-    words = [word for name, value in flags.items() if value is not None for word in (f"--{name}", str(value))]
+    words = [word for name, value in options.given(**flags).items() for word in (f"--{name}", str(value))]
     typer.echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")
     typer.echo(f"  qdgrasp evaluate {shlex.join(words)}")
 
 
 def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
-    """What the file says that its grasps were found under, as flags."""
+    """Return the conditions under which the grasps were found, as flags."""
     about = found.metadata
     spec = about.runs[0].asked if about and about.runs else RunSpec(gripper="", object="")
     mass = about.object_mass if about else found.mass or "KG"
@@ -169,30 +170,30 @@ def evaluate(
 
     Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
     """
-    values = {
-        "gripper": gripper,
-        "object": object_,
-        "mass": mass,
-        "scale": scale_of(units, scale),
-        "friction": friction,
-        "protocol": protocol,
-    }
+    values = options.given(
+        gripper=gripper,
+        object=object_,
+        mass=mass,
+        scale=scale_of(units, scale),
+        friction=friction,
+        protocol=protocol,
+    )
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"
         raise InputError(f"{missing} is missing: name an npz file (`qdgrasp evaluate --help`).")
     named = (Path(each) for each in (gripper, object_) if each)
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()
-    spec = run_spec({name: value for name, value in values.items() if value is not None}, "evaluate")
-    given = read_poses(poses)
-    team = LocalJobConfig(options.cores() if workers is None else workers, batch_size)
-    with progress_display("evaluate", len(given)) as shown:
+    spec = run_spec(values, "evaluate")
+    hand_poses = read_poses(poses)
+    config = LocalJobConfig(options.worker_count(workers), batch_size)
+    with progress_display("evaluate", len(hand_poses)) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         scene, bundle = make_bundle(spec)
         with lifetime("qdgrasp evaluate") as stop:
-            rows = score_poses(spec, scene, bundle, given, team, shown, stop)
+            rows = score_poses(spec, scene, bundle, hand_poses, config, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     with output.writing() as made:
         write_scores(made, rows, trial_count(spec.protocol))
-    typer.echo(f"{counted(len(given), 'pose')} scored, written to {out}")
+    typer.echo(f"{counted(len(hand_poses), 'pose')} scored, written to {out}")

@@ -1,6 +1,6 @@
-"""`qdgrasp gripper`: a hand of one's own: guess how it grasps, and say what is wrong with it.
+"""`qdgrasp gripper`: write the file of a custom hand with guessed values, and check it.
 
-What `qdgrasp gripper new` is not told it asks for, with what is guessed as each question's default.
+`qdgrasp gripper new` asks on the terminal for values that have no flag, with the guesses as defaults.
 """
 
 import math
@@ -33,34 +33,34 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class GripperQuestion:
-    """Something to ask of a hand."""
+    """A question about a hand."""
 
     field: str
-    """Of `Told`, and of the file."""
+    """Field of `DraftOverrides`, and of the file."""
     words: str
     read: Callable[[str, str], Any]
-    """What an answer means, by its field and its text; raises ImpossibleValue."""
+    """Parses an answer, given its field and its text; raises ImpossibleValue."""
 
 
-def ask_missing(robot: Urdf, urdf: str, told: DraftOverrides) -> DraftOverrides:
-    """Ask on the terminal what is not told yet; an empty answer takes the guess."""
+def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> DraftOverrides:
+    """Ask on the terminal for values that are not given; an empty answer takes the guess."""
     for question in QUESTIONS:
-        if getattr(told, question.field) is None:
-            told = _answered(question, robot, draft_gripper(robot, urdf, told), told)
-    return told
+        if getattr(given, question.field) is None:
+            given = _answered(question, robot, draft_gripper(robot, urdf, given), given)
+    return given
 
 
 def _answered(
-    question: GripperQuestion, robot: Urdf, guessed: GripperDraft, told: DraftOverrides
+    question: GripperQuestion, robot: Urdf, guessed: GripperDraft, given: DraftOverrides
 ) -> DraftOverrides:
     guess = _shown_default(getattr(guessed.file, question.field))
     typer.echo(f"# {guessed.reasons[question.field]}")
     while True:
         answer = typer.prompt(question.words, default=guess)
         if answer == guess:
-            return told
+            return given
         try:
-            answered = replace(told, **{question.field: question.read(question.field, answer)})
+            answered = replace(given, **{question.field: question.read(question.field, answer)})
             draft_gripper(robot, guessed.file.urdf, answered)
         except QdgraspError as error:
             typer.echo(str(error))
@@ -75,41 +75,35 @@ def _shown_default(value: Any) -> str:
 
 
 def parse_names(_: str, text: str) -> tuple[str, ...]:
-    """Names between commas."""
+    """Parse names between commas."""
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
 def parse_text(_: str, answer: str) -> str:
-    """The answer itself."""
+    """Return the answer without spaces around it."""
     return answer.strip()
 
 
 def parse_vector(field: str, text: str) -> Vector3:
-    """Three numbers between commas.
-
-    Raises
-    ------
-    ImpossibleValue
-        It is something else.
-    """
+    """Parse three numbers between commas; raises ImpossibleValue for other text."""
     x, y, z = _parse_numbers(field, text, 3, "three numbers such as 0,0,1")
     return x, y, z
 
 
 def parse_pair(field: str, text: str) -> tuple[float, float]:
-    """Two numbers between commas; errors as of `vector`."""
+    """Parse two numbers between commas; errors as of `parse_vector`."""
     least, greatest = _parse_numbers(field, text, 2, "two numbers such as 0,0.05")
     return least, greatest
 
 
 def parse_number(field: str, text: str) -> float:
-    """A number; errors as of `vector`."""
+    """Parse a number; errors as of `parse_vector`."""
     (value,) = _parse_numbers(field, text, 1, "a number such as 0.05")
     return value
 
 
 def parse_positions(field: str, texts: Iterable[str]) -> dict[str, float]:
-    """Joint positions from `NAME=VALUE`; errors as of `vector`."""
+    """Parse joint positions, `NAME=VALUE` between commas; errors as of `parse_vector`."""
     found = {}
     for part in (part for text in texts for part in text.split(",")):
         name, _, value = part.rpartition("=")
@@ -183,15 +177,16 @@ def new(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: take the guesses.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
 ) -> None:
-    """Write the file of a gripper: what flags say, the rest guessed from the URDF, each line with its reason.
+    """Write the file of a gripper:
+    what flags say, the rest guessed from the URDF, each line with its reason.
 
     On a terminal it asks, with the guesses as defaults. --mend writes a copy of the hand beside the file,
     with masses where there are none, meshes in metres, hollow ones in convex parts, and the base link in the
     middle of the fingers.
 
     Example: qdgrasp gripper new my_hand.urdf --licence BSD-3-Clause --mend
-    """
-    told = DraftOverrides(
+    """  # noqa: D205  # typer joins the lines
+    given = DraftOverrides(
         licence=licence,
         base_link=base_link,
         approach_axis=None if approach_axis is None else parse_vector("approach-axis", approach_axis),
@@ -207,10 +202,10 @@ def new(
     file.check()
     robot, asks = _single_tree(urdf), is_asked() and not yes
     with ExitStack() as until_written:
-        robot, told = _usable_robot(robot, told, file, until_written, mend=mend, asks=asks)
+        robot, given = _usable_robot(robot, given, file, until_written, mend=mend, asks=asks)
         reference = _reference(robot.path, target)
-        told = ask_missing(robot, reference, told) if asks else told
-        made = draft_gripper(robot, reference, told)
+        given = ask_missing(robot, reference, given) if asks else given
+        made = draft_gripper(robot, reference, given)
         found = examine_hand(robot, made.file, str(target))
         asset_commands.print_findings(found)
         asset_commands.refuse_faulty("gripper", found, "was not written")
@@ -245,19 +240,19 @@ def check(
 
 
 def is_asked() -> bool:
-    """Whether a person sits at the other end of standard input."""
+    """Return True if standard input is a terminal."""
     return sys.stdin.isatty()
 
 
 def _examined(name: str) -> tuple[GripperReport, Gripper | None]:
-    """What is found of a gripper by its name or file; and the gripper that a URDF alone would make."""
+    """Examine a gripper by its name or file; of a URDF alone also return the guessed gripper."""
     if name.lower().endswith((".urdf", ".xacro", ".xml", ".sdf")):
         return examine_urdf(Path(name).expanduser(), name)
     return examine_gripper(name), None
 
 
 def _check_copy(file: OutFile) -> None:
-    """Refuse to write over a mended copy that is there, unless the gripper's file is replaced too."""
+    """Refuse to overwrite a mended copy unless the gripper's file is replaced too."""
     OutFile(mended_urdf(file.path), force=file.force).check()
     OutFolder(mended_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
 
@@ -271,15 +266,15 @@ def _single_tree(urdf: Path) -> Urdf:
 
 
 def _usable_robot(
-    robot: Urdf, told: DraftOverrides, file: OutFile, until_written: ExitStack, *, mend: bool, asks: bool
+    robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, mend: bool, asks: bool
 ) -> tuple[Urdf, DraftOverrides]:
     """The robot, or a mended copy of its hand, with the base link that is to be used.
 
     The copy goes where `until_written` ends with an error.
     """
-    base, reason = (told.base_link, told.base_reason) if told.base_link else guess_base(robot)
+    base, reason = (given.base_link, given.base_reason) if given.base_link else guess_base(robot)
     if base not in robot.links:
-        return robot, told
+        return robot, given
     found = hand_faults(robot, base)
     if found and not mend:
         mend = asks and _wants_copy(found)
@@ -289,9 +284,9 @@ def _usable_robot(
             "--mend writes a copy of the hand in which what can be mended is."
         )
     if not mend:
-        return robot, told
+        return robot, given
     _check_copy(file)
-    may_centre = told.base_link is None
+    may_centre = given.base_link is None
     until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
     copy = until_written.enter_context(
         mended_copy(robot, base, file.path, _print_examination, may_centre=may_centre)
@@ -300,7 +295,7 @@ def _usable_robot(
         typer.echo(f"mended: {change}")
     typer.echo(f"written: {mended_urdf(file.path)}")
     return copy.robot, replace(
-        told, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
+        given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
     )
 
 
@@ -315,7 +310,7 @@ def _print_examination(sentence: str) -> None:
 
 
 def _reference(urdf: Path, target: Path) -> str:
-    """How the file names its URDF: from its own folder where that is below it, else by the whole path."""
+    """Return the URDF's path as the file names it: relative if it lies below the file's folder."""
     whole, folder = urdf.resolve(), target.resolve().parent
     return str(whole.relative_to(folder) if whole.is_relative_to(folder) else whole)
 

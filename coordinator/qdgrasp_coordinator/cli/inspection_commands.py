@@ -1,6 +1,6 @@
-"""Commands that look at runs: `info`, `show`, `digest`, `verify`, `render`, `view`, `coverage`.
+"""Commands that read runs: `info`, `show`, `digest`, `verify`, `render`, `view`, `coverage`.
 
-And `methods`, which names the search methods, and `reference`, which makes reference sets for `coverage`.
+Also `methods`, which lists the search methods, and `reference`, which makes reference sets for `coverage`.
 """
 
 import json
@@ -19,14 +19,13 @@ from qdgrasp_coordinator.cli import options
 from qdgrasp_coordinator.cli.options import host_and_port
 from qdgrasp_coordinator.local.progress import progress_display
 from qdgrasp_coordinator.local.supervisor import LocalJobConfig
+from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_of
 from qdgrasp_coordinator.metrics.reference_coverage import (
-    ReferenceSet,
     is_stand_in,
     object_identity,
     read_reference,
     released_archive,
 )
-from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_of
 from qdgrasp_coordinator.report.reference_builder import build_reference_sets as build_sets
 from qdgrasp_coordinator.report.row_report import row_report
 from qdgrasp_coordinator.search.registry import METHODS
@@ -48,10 +47,7 @@ def info(directory: options.RunDir, as_json: options.Json = False) -> None:
     Example: qdgrasp info runs/demo --json
     """
     found = run_summary(RunFolder.open(directory))
-    if as_json:
-        typer.echo(json.dumps(msgspec.to_builtins(found)))
-    else:
-        typer.echo(found.table)
+    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
 
 
 def show(
@@ -67,10 +63,7 @@ def show(
     Example: qdgrasp show runs/demo --grasp 17
     """
     found = row_report(RunFolder.open(directory), grasp)
-    if as_json:
-        typer.echo(json.dumps(msgspec.to_builtins(found)))
-    else:
-        typer.echo(found.table)
+    typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
 
 
 def digest(directory: options.RunDir) -> None:
@@ -108,14 +101,14 @@ def verify(
     """
     if every and sample is not None:
         raise InputError("--all leaves nothing to --sample: give one of them.")
-    team = LocalJobConfig(options.cores() if workers is None else workers, batch_size)
+    config = LocalJobConfig(options.worker_count(workers), batch_size)
     folders = run_folders_at(directory)
-    lots = choose_rows(folders, None if every else sample or SAMPLE_ROWS, seed)
+    samples = choose_rows(folders, None if every else sample or SAMPLE_ROWS, seed)
     with (
-        progress_display("verify", sum(len(lot.numbers) for lot in lots)) as shown,
+        progress_display("verify", sum(len(sample.numbers) for sample in samples)) as shown,
         lifetime("qdgrasp verify") as stop,
     ):
-        found = verify_rows(lots, team, shown, stop)
+        found = verify_rows(samples, config, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     typer.echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
@@ -256,7 +249,7 @@ def view(
 
 
 def has_desktop(environment: Mapping[str, str]) -> bool:
-    """Whether somebody sits in front of this machine who would see a browser open."""
+    """Return True if this machine has a screen and the user is not connected over SSH."""
     shown = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
     return bool(shown) and not environment.get("SSH_CONNECTION")
 
@@ -340,13 +333,10 @@ def build(
     """
     sets = build_sets(map(RunFolder.open, directories), out, name, mixed=mixed)
     if as_json:
-        typer.echo(json.dumps({"out": str(out), "objects": {key: _set_figures(sets[key]) for key in sets}}))
+        sizes = {key: {"size": len(one), "robust_size": len(one.robust)} for key, one in sets.items()}
+        typer.echo(json.dumps({"out": str(out), "objects": sizes}))
         return
     for key, known in sets.items():
         typer.echo(
             f"{out} holds {counted(len(known), 'cell')} of '{key}', {len(known.robust)} of them robust."
         )
-
-
-def _set_figures(known: ReferenceSet) -> dict[str, int]:
-    return {"size": len(known), "robust_size": len(known.robust)}

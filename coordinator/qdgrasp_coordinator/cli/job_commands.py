@@ -28,12 +28,7 @@ SESSION_SECONDS = 3.0  # seconds that a router may take to answer
 def open_session(
     connect: str, security: Path | None, role: Role = Role.ADMIN, wait: float = SESSION_SECONDS
 ) -> Iterator[Bus]:
-    """A session at a router, for a question or two; a signal ends it, also while nobody answers.
-
-    Parameters
-    ----------
-    wait
-        Seconds that the router may take to answer.
+    """Open a session at a router that answers within `wait` seconds; a signal ends it.
 
     Raises
     ------
@@ -48,12 +43,12 @@ def open_session(
 
 
 def no_job_message(endpoint: str) -> str:
-    """What is said where there is no job."""
+    """The sentence for a router without jobs."""
     return f"No job is at {endpoint}: the router answers, but no coordinator does."
 
 
 def router_endpoint(connect: str | None, security: Path | None) -> str:
-    """The endpoint that was named, or the default one."""
+    """Return the endpoint that was given, or the default one."""
     return connect or default_endpoint(encrypted=security is not None).text
 
 
@@ -90,7 +85,7 @@ def pause(
 
     Example: qdgrasp pause mugs
     """
-    send_order(job, router_endpoint(connect, security), security, Order(act="pause"))
+    send_order(job, connect, security, Order(act="pause"))
 
 
 def continue_(
@@ -100,7 +95,7 @@ def continue_(
 
     Example: qdgrasp continue mugs
     """
-    send_order(job, router_endpoint(connect, security), security, Order(act="continue"))
+    send_order(job, connect, security, Order(act="continue"))
 
 
 def cancel(
@@ -113,7 +108,7 @@ def cancel(
 
     Example: qdgrasp cancel mugs
     """
-    send_order(job, router_endpoint(connect, security), security, Order(act="cancel"))
+    send_order(job, connect, security, Order(act="cancel"))
 
 
 def drain(
@@ -133,16 +128,11 @@ def drain(
         raise InputError("Whom is the job to do without? Name a worker with --worker, or a host with --host.")
     if worker is not None and not (worker and set(worker) <= set("0123456789abcdef") and len(worker) <= 32):
         raise InputError(f"'{worker}' is no worker's id: 32 hexadecimal digits, or the first few of them.")
-    send_order(
-        job,
-        router_endpoint(connect, security),
-        security,
-        Order(act="drain", worker=worker or "", host=host or ""),
-    )
+    send_order(job, connect, security, Order(act="drain", worker=worker or "", host=host or ""))
 
 
-def send_order(job: str, endpoint: str, security: Path | None, what: Order) -> None:
-    """Tell a job's coordinator what to do, and say what happened.
+def send_order(job: str, connect: str | None, security: Path | None, order: Order) -> None:
+    """Send an order to a job's coordinator, and print its reply.
 
     Raises
     ------
@@ -151,9 +141,10 @@ def send_order(job: str, endpoint: str, security: Path | None, what: Order) -> N
     InputError
         It cannot be done.
     """
+    endpoint = router_endpoint(connect, security)
     with open_session(endpoint, security) as bus:
         try:
-            answer = bus.ask(Keys(job).control, messages.encode(what))
+            answer = bus.ask(Keys(job).control, messages.encode(order))
         except Refused as refusal:
             raise InputError(f"Nothing was done: {refusal}.") from None
         except NoReply:
@@ -162,7 +153,7 @@ def send_order(job: str, endpoint: str, security: Path | None, what: Order) -> N
 
 
 def _no_coordinator(bus: Bus, job: str, endpoint: str) -> InputError:
-    """Why no coordinator of a job answers."""
+    """Return the error for a job whose coordinator does not answer."""
     known = [view.meta.job for view in reachable_jobs(bus)]
     if not known:
         return InputError(no_job_message(endpoint))

@@ -1,4 +1,4 @@
-"""`qdgrasp doctor`, `bench` and `security`: commands that prepare machines.
+"""`qdgrasp doctor`, `bench` and `security`: checking, measuring and securing machines.
 
 Whether a machine has what a run needs, how fast it is, and certificates and access lists for jobs on many.
 """
@@ -35,7 +35,7 @@ from qdgrasp_protocol.process import ProcessGroup, lifetime
 from qdgrasp_protocol.session import Role, default_endpoint
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 PACKAGES = ("eclipse-zenoh", "pybullet", "numpy", "ribs", "trimesh", "msgpack", "coacd")
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
@@ -85,8 +85,8 @@ def _check_packages() -> str:
 
 
 def _check_bus() -> str:
-    endpoint = free_endpoint()
-    with ZenohBus.router(endpoint), ZenohBus.connect(endpoint, 5.0) as client:
+    router, endpoint = ZenohBus.embedded(None)
+    with router, ZenohBus.connect(endpoint, 5.0) as client:
         client.put("qdgrasp/v1/doctor/meta", b"{}", encoding="application/json")
     return f"a router listened on {endpoint} and took a client"
 
@@ -115,7 +115,7 @@ def _check_disk() -> str:
 
 
 def _file_system(path: Path) -> str:
-    """The type of the file system that holds `path`, as Linux names it; empty where that is not known."""
+    """Return the type of the file system that holds `path`, empty where it is not known."""
     try:
         mounts = [line.split()[1:3] for line in Path("/proc/mounts").read_text().splitlines()]
     except OSError:
@@ -158,16 +158,11 @@ def bench(
 
     Example: qdgrasp bench --gripper allegro --object mug --object banana --workers 4
     """
-    given = {
-        "gripper": gripper,
-        "mass": mass,
-        "scale": scale_of(units, scale),
-        "protocol": protocol,
-        "method": BENCH_METHOD,
-    }
-    values = {name: value for name, value in given.items() if value is not None}
+    values = options.given(
+        gripper=gripper, mass=mass, scale=scale_of(units, scale), protocol=protocol, method=BENCH_METHOD
+    )
     specs = [full_spec(values | {"object": name}, "bench") for name in objects or BENCH_OBJECTS]
-    count, here = options.cores() if workers is None else workers, node_info()
+    count, here = options.worker_count(workers), node_info()
     found = [_measure_scene(spec, count, seconds) for spec in specs]
     figures = NodeFigures(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -179,22 +174,16 @@ def bench(
 
 
 def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurement:
-    """Measure one scene with workers of its own.
-
-    Raises
-    ------
-    Exit
-        There was a signal to stop.
-    """
+    """Measure one scene with workers of its own; a signal ends the command."""
     lines = LineProgress("bench")
     lines.say(f"building the scene of {spec.gripper} and {spec.object}")
     scene, bundle = make_bundle(spec)
-    course = SceneBenchmark(spec, scene, bundle, workers=workers, seconds=seconds, display=lines)
+    benchmark = SceneBenchmark(spec, scene, bundle, workers=workers, seconds=seconds, display=lines)
     with lifetime("qdgrasp bench") as stop, ExitStack() as stack:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
         bus, endpoint = ZenohBus.embedded(None)
         stack.enter_context(bus)
-        measured = course.run(bus, endpoint, stack.enter_context(ProcessGroup(logs, GRACE)), stop)
+        measured = benchmark.run(bus, endpoint, stack.enter_context(ProcessGroup(logs, GRACE)), stop)
     if measured is None:
         raise typer.Exit(stop.exit_code)
     return measured
@@ -244,10 +233,11 @@ def add(
     host: Hosts = None,
     days: Days = 365,
 ) -> None:
-    """Issue one more certificate, in a folder DIR/NAME that holds what one node needs and nothing else.
+    """Issue one more certificate,
+    in a folder DIR/NAME that holds what one node needs and nothing else.
 
     Example: qdgrasp security add security worker lab-7
-    """
+    """  # noqa: D205  # typer joins the lines
     from qdgrasp_coordinator.security.folder import SecurityFolder
 
     place = SecurityFolder(directory).add(role, name, hosts=_router_hosts(host), days=days)
@@ -280,8 +270,8 @@ def check(
     typer.echo(matrix_table(found.matrix))
     for fault in found.faults:
         typer.echo(f"WRONG: {fault}")
-    typer.echo(found.words)
-    if not found.holds:
+    typer.echo(found.summary)
+    if found.faults:
         raise typer.Exit(1)
 
 

@@ -12,9 +12,9 @@ from qdgrasp_coordinator.cli import (
     inspection_commands,
     job_commands,
     machine_commands,
+    object_commands,
     run_commands,
 )
-from qdgrasp_coordinator.cli import object_commands as object_
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import configure_logging
@@ -30,7 +30,7 @@ app = typer.Typer(
 
 @app.callback()
 def qdgrasp(version: cli_support.VersionOption = False) -> None:
-    """Whatever the command, there are flags of its own before it."""
+    """Define the flags that stand before a command."""
 
 
 for command in (
@@ -40,30 +40,30 @@ for command in (
     inspection_commands.digest,
     grasp_commands.evaluate,
     inspection_commands.coverage,
+    campaign_commands.campaign,
+    campaign_commands.analyse,
+    inspection_commands.show,
+    inspection_commands.view,
+    inspection_commands.render,
+    inspection_commands.verify,
+    grasp_commands.export,
+    grasp_commands.import_,
+    run_commands.rerank,
+    campaign_commands.merge,
+    campaign_commands.prune,
+    inspection_commands.methods,
+    machine_commands.doctor,
+    machine_commands.bench,
+    job_commands.jobs,
+    job_commands.pause,
+    job_commands.continue_,
+    job_commands.cancel,
+    job_commands.drain,
 ):
-    app.command()(command)
-app.command()(campaign_commands.campaign)
-app.command()(campaign_commands.analyse)
-app.command()(inspection_commands.show)
-app.command()(inspection_commands.view)
-app.command()(inspection_commands.render)
-app.command()(inspection_commands.verify)
-app.command()(grasp_commands.export)
-app.command("import")(grasp_commands.import_)
-app.command()(run_commands.rerank)
-app.command()(campaign_commands.merge)
-app.command()(campaign_commands.prune)
-app.command()(inspection_commands.methods)
-app.command()(machine_commands.doctor)
-app.command()(machine_commands.bench)
-app.command()(job_commands.jobs)
-app.command()(job_commands.pause)
-app.command("continue")(job_commands.continue_)
-app.command()(job_commands.cancel)
-app.command()(job_commands.drain)
+    app.command(command.__name__.removesuffix("_"))(command)
 app.add_typer(asset_commands.asset_app, name="asset")
 app.add_typer(gripper_commands.gripper_app, name="gripper")
-app.add_typer(object_.object_app, name="object")
+app.add_typer(object_commands.object_app, name="object")
 app.add_typer(inspection_commands.reference_app, name="reference")
 app.add_typer(machine_commands.security_app, name="security")
 

@@ -29,7 +29,7 @@ from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 log = structlog.get_logger()
-INTERVAL = 1.0  # seconds between two looks in JSON
+INTERVAL = 1.0  # seconds between two lines of JSON
 FLAGS = {
     "once": "--once",
     "as_json": "--json",
@@ -113,19 +113,13 @@ def monitor(
 
 
 def typed_flags(context: typer.Context) -> set[str]:
-    """The flags that somebody typed, by the names of their parameters."""
+    """Return the flags given on the command line, by the names of their parameters."""
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
 
 
 def check_flags(given: Container[str]) -> None:
-    """Check that every flag has something to do.
-
-    Raises
-    ------
-    InputError
-        One has not, beside another or without it.
-    """
+    """Check that every flag has an effect; raises InputError for one that has not."""
     for one, other in EXCLUSIVE_FLAGS:
         if one in given and other in given:
             raise InputError(f"{FLAGS[one]} and {FLAGS[other]} do not go together; leave out one of them.")
@@ -135,13 +129,7 @@ def check_flags(given: Container[str]) -> None:
 
 
 def read_token(file: Path) -> str:
-    """The token in a file.
-
-    Raises
-    ------
-    InputError
-        There is none, or it cannot be read.
-    """
+    """Return the first line of a file; raises InputError if it is empty or cannot be read."""
     try:
         lines = file.read_text("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -153,13 +141,7 @@ def read_token(file: Path) -> str:
 
 
 def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]:
-    """The job that was named; all of them where none was.
-
-    Raises
-    ------
-    UnknownName
-        There are some, but not that one.
-    """
+    """Return the view of one job, or all views; raises UnknownName if only other jobs are there."""
     if job and views and job not in [view.job for view in views]:
         raise UnknownName("job", job, [view.job for view in views])
     return [view for view in views if job in (None, view.job)]
@@ -168,7 +150,7 @@ def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]
 def print_look(
     views: Sequence[JobView], endpoint: str, foreign_jobs: Sequence[str], *, ascii_only: bool
 ) -> None:
-    """Print one look at jobs."""
+    """Print the state of jobs once."""
     console = Console(highlight=False)
     shown = ScreenState(views, endpoint, local_time(), foreign_jobs=foreign_jobs)
     for line in report_lines(shown, console.width, glyphs_of(console, ascii_only=ascii_only)):
@@ -176,15 +158,15 @@ def print_look(
 
 
 def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
-    """Print a look at the jobs every second."""
-    heard = Keyboard(stop, None)
+    """Print the state of jobs every second."""
+    keyboard = Keyboard(stop, None)
     while not stop.is_set:
-        heard.wait(INTERVAL)
+        keyboard.wait(INTERVAL)
         typer.echo(to_json(feed.views(), endpoint))
 
 
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
-    """Serve the page; what it needs is loaded for it alone."""
+    """Serve the page; its libraries are loaded for it alone."""
     from qdgrasp_coordinator.monitor.records import BusRecords
     from qdgrasp_coordinator.monitor.web.routes import live_site
     from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
@@ -196,7 +178,7 @@ def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
 
 
 def to_json(views: Sequence[JobView], endpoint: str) -> str:
-    """All that is known of jobs in one line; names are those of the structs (docs/watching.md)."""
+    """Return jobs as one line of JSON; names are those of the structs (docs/watching.md)."""
     return json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(views)})
 
 

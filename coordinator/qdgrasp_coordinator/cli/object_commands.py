@@ -1,4 +1,4 @@
-"""`qdgrasp object`: what an object of one's own is, and what is wrong with it."""
+"""`qdgrasp object`: examine a mesh file as an object, and repair it."""
 
 import shlex
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ object_app = typer.Typer(
 
 @object_app.callback()
 def _group() -> None:
-    """Keep `check` a word of its own: with a single command and no group, typer would leave it out."""
+    """Keep `check` a subcommand: typer would drop the name of a single command."""
 
 
 @object_app.command()

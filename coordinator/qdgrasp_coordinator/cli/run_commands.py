@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import typer
@@ -37,23 +37,23 @@ from qdgrasp_protocol.spec import DEFAULT_METHOD, MAX_POPULATION, RunSpec, read_
 from qdgrasp_protocol.text import counted
 
 
-def run_job(job: JobFolder, team: LocalJobConfig, shown: ProgressDisplay, stop: Stop) -> None:
-    """Carry a job out; what ends it early names the command that goes on."""
+def run_job(job: JobFolder, config: LocalJobConfig, shown: ProgressDisplay, stop: Stop) -> None:
+    """Carry a job out; an error that ends it early names the command that continues it."""
     try:
-        Supervisor(job, team, shown, stop).run()
+        Supervisor(job, config, shown, stop).run()
     except EndedEarly as error:
         raise EndedEarly(f"{error} {resume_hint(job)}") from None
 
 
 def check_not_stopped(job: JobFolder, stop: Stop) -> None:
-    """End as a signal has asked, and name the command that goes on."""
+    """Exit if there was a signal, and name the command that continues the job."""
     if stop.is_set:
         typer.echo(f"Stopped; {resume_hint(job)}", err=True)
         raise typer.Exit(stop.exit_code)
 
 
 def resume_hint(job: JobFolder) -> str:
-    """What a person is told of a job that is not done."""
+    """Name the command that continues a job."""
     command = "campaign" if job.is_campaign else "resume"
     return f"`qdgrasp {command} {job.path}` goes on where it stopped."
 
@@ -98,7 +98,7 @@ def run(
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
-    job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
+    job: options.Job = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
     disk_wait: options.DiskWait = 60.0,
 ) -> None:
@@ -106,36 +106,38 @@ def run(
 
     Example: qdgrasp run --gripper panda --object mug --evaluations 10000 --seed 1
     """
-    flags = {
-        "gripper": gripper,
-        "object": object_,
-        "mass": mass,
-        "scale": scale_of(units, scale),
-        "friction": friction,
-        "method": method,
-        "protocol": protocol,
-        "evaluations": evaluations,
-        "successes": successes,
-        "no_new_cell": no_new_cell,
-        "seed": seed,
-        "overlaps": overlaps,
-        "population": population,
-        "mutation_sigma": mutation_sigma,
-        "mutation_probability": mutation_probability,
-        "generations_in_flight": generations_in_flight,
-        "surface_seed": surface_seed,
-    }
-    asked = run_plan.full_spec(_merged(spec, flags), str(spec) if spec else "run")
-    door = ListenConfig(listen, security, insecure)
-    count = options.cores() if workers is None else workers
-    team = LocalJobConfig(count, batch_size, door, disk_wait, seconds)
-    start_run(asked, out or Path("runs") / run_plan.default_run_name(asked), team, job)
+    flags = options.given(
+        gripper=gripper,
+        object=object_,
+        mass=mass,
+        scale=scale_of(units, scale),
+        friction=friction,
+        method=method,
+        protocol=protocol,
+        evaluations=evaluations,
+        successes=successes,
+        no_new_cell=no_new_cell,
+        seed=seed,
+        overlaps=overlaps,
+        population=population,
+        mutation_sigma=mutation_sigma,
+        mutation_probability=mutation_probability,
+        generations_in_flight=generations_in_flight,
+        surface_seed=surface_seed,
+    )
+    values = read_run_spec(spec) if spec else {}
+    if "cross" in values:
+        raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
+    asked = run_plan.full_spec(values | flags, str(spec) if spec else "run")
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
+    start_run(asked, out or Path("runs") / run_plan.default_run_name(asked), config, job)
 
 
 def start_run(
     spec: RunSpec,
     out: Path,
-    team: LocalJobConfig,
+    config: LocalJobConfig,
     job: str | None = None,
     begun: Callable[[RunFolder], None] = lambda _folder: None,
 ) -> None:
@@ -147,12 +149,12 @@ def start_run(
         with lifetime("qdgrasp run") as stop:
             folder = RunFolder.create(out, spec, bundle, job=job)
             begun(folder)
-            run_job(folder.job, team, shown, stop)
+            run_job(folder.job, config, shown, stop)
     print_result(folder, stop)
 
 
 def print_result(folder: RunFolder, stop: Stop) -> None:
-    """Print what was found, or end as a signal has asked."""
+    """Print the run's figures, or exit if there was a signal."""
     check_not_stopped(folder.job, stop)
     found = run_summary(folder)
     typer.echo(found.words)
@@ -167,13 +169,6 @@ def write_ranking_of(folder: RunFolder) -> None:
     """Rank the grasps of a complete run that has scored them again."""
     if is_reranking(folder):
         typer.echo(write_ranking(folder))
-
-
-def _merged(spec: Path | None, flags: dict[str, Any]) -> dict[str, Any]:
-    values = read_run_spec(spec) if spec else {}
-    if "cross" in values:
-        raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
-    return values | {name: value for name, value in flags.items() if value is not None}
 
 
 def resume(
@@ -198,42 +193,29 @@ def resume(
     Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
     """
     folder = RunFolder.open(directory)
-    check_own_job(folder)
+    if folder.job.is_campaign:
+        raise FolderError(
+            f"{folder.path} is a run of a campaign: `qdgrasp campaign {folder.job.path}` goes on with it."
+        )
     folder.job.check_not_in_use()
     with folder.journal() as journal:
         journal.check_whole()
-    asked = {"evaluations": evaluations, "successes": successes, "no_new_cell": no_new_cell}
-    if goals := {key: value for key, value in asked.items() if value is not None}:
+    if goals := options.given(evaluations=evaluations, successes=successes, no_new_cell=no_new_cell):
         extend_run(folder, **goals)
     found = run_summary(folder)
     if found.complete:
         typer.echo(f"{directory} is finished: {found.words}")
         write_ranking_of(folder)
         return
-    door = ListenConfig(listen, security, insecure)
-    count = options.cores() if workers is None else workers
-    team = LocalJobConfig(count, batch_size, door, disk_wait, seconds)
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait, seconds)
     with (
         lifetime("qdgrasp resume") as stop,
         progress_display(directory.name, folder.spec.evaluations) as shown,
     ):
         shown.say(f"going on after {counted(found.evaluations, 'evaluation')}")
-        run_job(folder.job, team, shown, stop)
+        run_job(folder.job, config, shown, stop)
     print_result(folder, stop)
-
-
-def check_own_job(folder: RunFolder) -> None:
-    """Check that a run is a job of its own.
-
-    Raises
-    ------
-    FolderError
-        It is one of a campaign's.
-    """
-    if folder.job.is_campaign:
-        raise FolderError(
-            f"{folder.path} is a run of a campaign: `qdgrasp campaign {folder.job.path}` goes on with it."
-        )
 
 
 def rerank(
@@ -259,7 +241,7 @@ def rerank(
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
-    job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's name.")] = None,
+    job: options.Job = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder; default runs/<name of the run>-<protocol>.")
     ] = None,
@@ -282,8 +264,8 @@ def rerank(
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None)
     chosen = best_of_kinds(found, top, niches(found, synergy_reader(source)) if by_niche else None)
     spec = rerank_spec(source, protocol, chosen)
-    door = ListenConfig(listen, security, insecure)
-    team = LocalJobConfig(options.cores() if workers is None else workers, batch_size, door, disk_wait)
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(options.worker_count(workers), batch_size, listening, disk_wait)
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
         scene, bundle = run_plan.make_bundle(spec)
@@ -291,7 +273,7 @@ def rerank(
         with lifetime("qdgrasp rerank") as stop:
             begun = RunFolder.create(folder, spec, bundle, job=job)
             write_source(begun, source, chosen)
-            run_job(begun.job, team, shown, stop)
+            run_job(begun.job, config, shown, stop)
     print_result(begun, stop)
 
 
@@ -333,7 +315,7 @@ def rerank_spec(source: RunFolder, protocol: str, chosen: Rows) -> RunSpec:
 
 
 def _check_same(old: Scene, new: Scene) -> None:
-    """Check that poses in one scene mean the same in another: the same hand, and the same object."""
+    """Check that two scenes have the same hand and object, so that poses keep their meaning."""
     hands = [msgspec.structs.asdict(scene.gripper) | {"carrier": None, "urdf": None} for scene in (old, new)]
     if object_identity(old.object) != object_identity(new.object) or hands[0] != hands[1]:
         raise InputError(

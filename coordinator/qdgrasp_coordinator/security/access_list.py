@@ -4,7 +4,7 @@ The table says which role gives and takes which kind of message. A zenoh configu
 from it: for `zenohd`, `qdgrasp-router` and zenoh's own tools.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -28,55 +28,42 @@ MONITORING = frozenset({Role.MONITOR, Role.ADMIN})
 
 
 class TrafficKind(StrEnum):
-    """How two sides meet on a key."""
+    """The kind of exchange on a key."""
 
     PUT = "put"
-    """One publishes, the others hear."""
+    """One side publishes, the other subscribes."""
     QUERY = "query"
-    """One asks, the others answer."""
+    """One side asks, the other answers."""
     TOKEN = "token"  # noqa: S105  # a sign of life
-    """One is alive, the others watch."""
+    """One side is alive, the other watches."""
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """One kind of traffic.
-
-    Attributes
-    ----------
-    key
-        A pattern over the keys of all jobs.
-    way
-        How the two sides meet.
-    givers
-        Who publishes, asks, or is alive.
-    takers
-        Who hears, answers, or watches.
-    limit
-        The most bytes of what is published or asked.
-    answer_limit
-        The most bytes of an answer.
-    """
+    """One kind of traffic."""
 
     key: str
-    way: TrafficKind
+    """A pattern over the keys of all jobs."""
+    kind: TrafficKind
     givers: frozenset[Role]
+    """Roles that publish, ask, or are alive."""
     takers: frozenset[Role]
+    """Roles that subscribe, answer, or watch."""
     limit: int = 0
+    """The most bytes of a message or question."""
     answer_limit: int = 0
+    """The most bytes of an answer."""
 
 
-def _put(key: str, givers: set[Role], takers: set[Role] | frozenset[Role], limit: int) -> Traffic:
+def _put(key: str, givers: Set[Role], takers: Set[Role], limit: int) -> Traffic:
     return Traffic(key, TrafficKind.PUT, frozenset(givers), frozenset(takers), limit)
 
 
-def _query(
-    key: str, askers: set[Role] | frozenset[Role], answerers: set[Role], limit: int, answer: int
-) -> Traffic:
+def _query(key: str, askers: Set[Role], answerers: Set[Role], limit: int, answer: int) -> Traffic:
     return Traffic(key, TrafficKind.QUERY, frozenset(askers), frozenset(answerers), limit, answer)
 
 
-def _token(key: str, holder: Role, watchers: set[Role] | frozenset[Role]) -> Traffic:
+def _token(key: str, holder: Role, watchers: Set[Role]) -> Traffic:
     return Traffic(key, TrafficKind.TOKEN, frozenset({holder}), frozenset(watchers))
 
 
@@ -108,82 +95,62 @@ TRAFFIC = (
     _token(JOBS.worker_token(), WORKER, {COORDINATOR, Role.MONITOR}),
     _token(JOBS.recorder_token(), RECORDER, {COORDINATOR, Role.MONITOR}),
 )
-"""All traffic there is (docs/bus.md, keys)."""
+"""All traffic (docs/bus.md, keys)."""
 
 
 GIVEN = {TrafficKind.PUT: ["put"], TrafficKind.QUERY: ["query"], TrafficKind.TOKEN: ["liveliness_token"]}
-"""What comes in from who publishes, asks or is alive; and goes out to the other side."""
+"""Zenoh messages of the giving side: ingress from it, egress to the takers."""
 TAKEN = {
     TrafficKind.PUT: ["declare_subscriber"],
     TrafficKind.QUERY: ["declare_queryable", "reply"],
     TrafficKind.TOKEN: ["declare_liveliness_subscriber", "liveliness_query"],
 }
-"""What comes in from who hears, answers or watches; and goes out to the other side."""
+"""Zenoh messages of the taking side: ingress from it, egress to the givers."""
 
 
 def access_list(traffic: Iterable[Traffic] = TRAFFIC) -> ZenohSettings:
-    """The access list and the size limits that a router's configuration holds."""
+    """Return the access list and the size limits of a router's configuration."""
     flows = tuple(traffic)
-    rules = [
-        rule for role in Role for rule in (_relayed(flows) if role is Role.ROUTER else _rules(role, flows))
-    ]
+    rules = {role: list(_rules(role, flows)) for role in Role}
     return {
         "access_control": {
             "enabled": True,
             "default_permission": "deny",
-            "rules": rules,
+            "rules": [rule for of_role in rules.values() for rule in of_role],
             "subjects": [{"id": role.value, "cert_common_names": [role.common_name]} for role in Role],
             "policies": [
-                {
-                    "rules": [rule["id"] for rule in rules if _owner(rule) == role.value],
-                    "subjects": [role.value],
-                }
-                for role in Role
+                {"rules": [rule["id"] for rule in of_role], "subjects": [role.value]}
+                for role, of_role in rules.items()
             ],
         },
         "low_pass_filter": [limit for flow in flows for limit in _limits(flow)],
     }
 
 
-def _rules(role: Role, flows: Sequence[Traffic]) -> list[dict[str, Any]]:
-    """The rules of one role: what it gives and takes, and what it is told of the other side."""
-    return [
-        rule
-        for way in TrafficKind
-        for rule in _rules_of(role, way, [flow for flow in flows if flow.way is way])
-    ]
-
-
-def _rules_of(role: Role, way: TrafficKind, flows: Sequence[Traffic]) -> list[dict[str, Any]]:
-    given = [flow.key for flow in flows if role in flow.givers]
-    taken = [flow.key for flow in flows if role in flow.takers]
-    takers = [
-        flow.key for flow in flows if flow.takers and any(patterns_intersect(flow.key, key) for key in given)
-    ]
-    sides = (
-        ("gives", GIVEN[way], "ingress", given),
-        ("is taken from", TAKEN[way], "egress", takers),
-        ("takes", TAKEN[way], "ingress", taken),
-        ("is given", GIVEN[way], "egress", taken),
-    )
-    return [
-        _rule(f"{role} {side} ({way})", messages, [direction], keys)
-        for side, messages, direction, keys in sides
-        if keys
-    ]
-
-
-def _relayed(flows: Sequence[Traffic]) -> list[dict[str, Any]]:
-    """The rules between routers: whatever one lets in, the other takes from it."""
-    return [
-        _rule(
-            f"{Role.ROUTER} relays ({way})",
-            GIVEN[way] + TAKEN[way],
-            ["ingress", "egress"],
-            [flow.key for flow in flows if flow.way is way],
+def _rules(role: Role, traffic: Sequence[Traffic]) -> Iterator[dict[str, Any]]:
+    """Yield the rules of one role: what it sends, and what it gets from the other side."""
+    for kind in TrafficKind:
+        flows = [flow for flow in traffic if flow.kind is kind]
+        if role is Role.ROUTER:  # a router takes from another one all that this lets in
+            both, keys = ["ingress", "egress"], [flow.key for flow in flows]
+            yield _rule(f"{role} relays ({kind})", GIVEN[kind] + TAKEN[kind], both, keys)
+            continue
+        given = [flow.key for flow in flows if role in flow.givers]
+        taken = [flow.key for flow in flows if role in flow.takers]
+        takers = [
+            flow.key
+            for flow in flows
+            if flow.takers and any(patterns_intersect(flow.key, key) for key in given)
+        ]
+        sides = (
+            ("gives", GIVEN[kind], "ingress", given),
+            ("is taken from", TAKEN[kind], "egress", takers),
+            ("takes", TAKEN[kind], "ingress", taken),
+            ("is given", GIVEN[kind], "egress", taken),
         )
-        for way in TrafficKind
-    ]
+        for side, messages, direction, keys in sides:
+            if keys:
+                yield _rule(f"{role} {side} ({kind})", messages, [direction], keys)
 
 
 def _rule(name: str, messages: list[str], directions: list[str], keys: list[str]) -> dict[str, Any]:
@@ -196,17 +163,13 @@ def _rule(name: str, messages: list[str], directions: list[str], keys: list[str]
     }
 
 
-def _owner(rule: dict[str, Any]) -> str:
-    return str(rule["id"]).partition(" ")[0]
-
-
 def _limits(flow: Traffic) -> list[dict[str, Any]]:
-    """How large a message may be on a key, as published or asked and as answered."""
+    """Return the size limits of a key's messages and answers."""
     sizes = {
         TrafficKind.PUT: [("put", flow.limit)],
         TrafficKind.QUERY: [("query", flow.limit), ("reply", flow.answer_limit)],
         TrafficKind.TOKEN: [],
-    }[flow.way]
+    }[flow.kind]
     return [
         {
             "id": f"{message} {flow.key}",
@@ -231,15 +194,7 @@ Written by `qdgrasp security init`; the commands of qdgrasp need only `--securit
 
 
 def role_configuration(credentials: Credentials, host: str) -> str:
-    """The configuration file of a role.
-
-    Parameters
-    ----------
-    credentials
-        Whose, and where the certificates lie.
-    host
-        By what name or address clients reach the router.
-    """
+    """Return the configuration file of a role; clients reach the router at `host`."""
     if credentials.role is Role.ROUTER:
         here = Endpoint.parse(f"tls/{LISTEN_EVERYWHERE}:{PORT}")
         chosen = session_settings("router", listen=[here], credentials=credentials)

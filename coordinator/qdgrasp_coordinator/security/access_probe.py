@@ -1,11 +1,11 @@
 """Probes a running router: sessions of every role try every verb on every key.
 
 Each role has three sessions: one gives, one takes, and one takes by patterns that are wider than any role's
-rights. A session hears itself without a router, so none of them does two of these.
+rights. A session receives its own messages without a router, so none of them does two of these.
 
-What is allowed must arrive, and that it does shows that the router has dealt with what was tried before it
-on the same link. Then a quiet while must pass in which nothing else arrives. Who shows no certificate,
-another authority's or an expired one, or a link without encryption, must not get a session at all.
+Allowed messages must arrive; then the router has dealt with all that was sent before them on the same link.
+After them nothing else may arrive for a while. A client without a certificate, with another authority's or
+an expired one, or without encryption must not get a session at all.
 """
 
 import ssl
@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import Condition
-from time import monotonic
 
 from qdgrasp_coordinator.security import authority
 from qdgrasp_coordinator.security.access_list import TRAFFIC, Traffic, TrafficKind
@@ -34,7 +33,7 @@ NO_ROLE = "guest"  # Has a certificate of the authority, and no role
 PROBE_ROLES = tuple(role for role in Role if role is not Role.ROUTER)
 PROBE_NAMES = (*(role.value for role in PROBE_ROLES), NO_ROLE)
 PROBE_KEYS = tuple(dict.fromkeys(flow.key.replace("**", "job").replace("*", PROBE_JOB) for flow in TRAFFIC))
-"""One key of each kind of traffic, of a job that nobody serves: no number is an epoch here."""
+"""One key of each kind of traffic, of a job that does not exist."""
 WIDE_PATTERNS = (
     "**",
     "qdgrasp/**",
@@ -53,28 +52,21 @@ WIDE_PATTERNS = (
 
 @dataclass(frozen=True)
 class ProbeReceiver:
-    """A session that hears, answers and watches.
-
-    Attributes
-    ----------
-    name
-        Whose it is.
-    bus
-        The session.
-    patterns
-        What it declares.
-    """
+    """A session that subscribes, answers and watches."""
 
     name: str
+    """Its role, and the kind of its patterns."""
     bus: Bus
     patterns: tuple[str, ...]
+    """Key patterns that it declares."""
 
 
 @dataclass(frozen=True)
 class ProbeSessions:
-    """Who gives and who takes."""
+    """Sessions of all roles at a router."""
 
     givers: dict[str, Bus]
+    """Sessions that publish, ask and are alive, by role."""
     takers: list[ProbeReceiver]
 
 
@@ -82,18 +74,14 @@ class ProbeSessions:
 def open_sessions(
     endpoint: str, folder: Path, patience: float, takers_at: str | None = None
 ) -> Iterator[ProbeSessions]:
-    """Open all sessions at a router.
+    """Open all sessions at a router, each within `patience` seconds.
 
     Parameters
     ----------
-    endpoint
-        Of the router.
     folder
-        What `qdgrasp security init` wrote, with the authority's key.
-    patience
-        Seconds that opening a session may take.
+        The folder that `qdgrasp security init` wrote, with the authority's key.
     takers_at
-        Of another router for those who take; None: the same one.
+        Endpoint of another router for the takers; None: the same one.
     """
     with ExitStack() as stack:
         proofs: dict[str, Credentials] = {role.value: _credentials(folder, role) for role in PROBE_ROLES}
@@ -122,16 +110,9 @@ def temporary_certificate(
     trusts: CertificateIdentity | None = None,
     now: datetime | None = None,
 ) -> Iterator[Credentials]:
-    """A certificate of our making, in a folder of its own, for as long as the context lasts.
+    """Issue a certificate for a day from `now`, in a folder that lasts as long as the context.
 
-    Parameters
-    ----------
-    signer
-        The authority that issues it.
-    trusts
-        The authority whose routers are trusted; None: the same.
-    now
-        When it is issued, for a day.
+    It trusts routers of the authority `trusts`; None: of the signer.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         files = Credentials(Path(name), Role.WORKER)
@@ -150,135 +131,121 @@ def _credentials(folder: Path, role: Role) -> Credentials:
 
 @dataclass(frozen=True)
 class Delivery:
-    """Something went from one session to another.
+    """One message, answer or token that went from one session to another."""
 
-    Attributes
-    ----------
-    way
-        How.
-    key
-        On which key.
-    giver
-        Who published, asked or was alive.
-    taker
-        Who heard, answered or watched.
-    """
-
-    way: TrafficKind
+    kind: TrafficKind
     key: str
     giver: str
+    """Name of the session that published, asked or was alive."""
     taker: str
+    """Name of the session that received, answered or watched."""
 
 
-def allowed_givers(way: TrafficKind, key: str, traffic: Iterable[Traffic] = TRAFFIC) -> frozenset[str]:
-    """Who may publish, ask or be alive on a key."""
+def allowed_givers(kind: TrafficKind, key: str, traffic: Iterable[Traffic] = TRAFFIC) -> frozenset[str]:
+    """Return the roles that may publish, ask or be alive on a key."""
     return frozenset(
-        role for flow in traffic if flow.way is way and matches(flow.key, key) for role in flow.givers
+        role for flow in traffic if flow.kind is kind and matches(flow.key, key) for role in flow.givers
     )
 
 
-def allowed_takers(way: TrafficKind, key: str, traffic: Iterable[Traffic] = TRAFFIC) -> frozenset[str]:
-    """Who may hear, answer or watch a key."""
+def allowed_takers(kind: TrafficKind, key: str, traffic: Iterable[Traffic] = TRAFFIC) -> frozenset[str]:
+    """Return the roles that may subscribe, answer or watch on a key."""
     return frozenset(
-        role for flow in traffic if flow.way is way and matches(flow.key, key) for role in flow.takers
+        role for flow in traffic if flow.kind is kind and matches(flow.key, key) for role in flow.takers
     )
 
 
-def allowed_deliveries(way: TrafficKind, keys: Iterable[str]) -> set[Delivery]:
-    """All meetings on these keys that the table of traffic allows."""
+def allowed_deliveries(kind: TrafficKind, keys: Iterable[str]) -> set[Delivery]:
+    """Return all deliveries on these keys that the table of traffic allows."""
     return {
-        Delivery(way, key, giver, taker)
+        Delivery(kind, key, giver, taker)
         for key in keys
-        for giver in allowed_givers(way, key)
-        for taker in allowed_takers(way, key)
+        for giver in allowed_givers(kind, key)
+        for taker in allowed_takers(kind, key)
     }
 
 
 class DeliveryLog:
-    """What was seen, noted from any thread."""
+    """Deliveries that were seen, noted from any thread."""
 
     def __init__(self) -> None:
         self._seen: set[Delivery] = set()
         self._changed = Condition()
 
-    def add(self, meeting: Delivery) -> None:
-        """Note a meeting."""
+    def add(self, delivery: Delivery) -> None:
+        """Note a delivery."""
         with self._changed:
-            self._seen.add(meeting)
+            self._seen.add(delivery)
             self._changed.notify_all()
 
-    def wait(self, for_: set[Delivery], patience: float) -> bool:
-        """Wait until all of these were seen, at most `patience` seconds; whether they were."""
-        deadline = monotonic() + patience
+    def wait(self, due: set[Delivery], patience: float) -> bool:
+        """Wait at most `patience` seconds; returns True once all of these were seen."""
         with self._changed:
-            return self._changed.wait_for(lambda: for_ <= self._seen, max(0.0, deadline - monotonic()))
+            return self._changed.wait_for(lambda: due <= self._seen, patience)
 
     @property
     def seen(self) -> set[Delivery]:
-        """All that was seen."""
+        """All deliveries so far."""
         with self._changed:
             return set(self._seen)
 
 
 ENCODING = "text/plain"
-DELIVERY_SECONDS = 10.0  # seconds that anything may take that is to happen
-ROUND_SECONDS = 0.2  # seconds between two tries: declarations may still be on their way
-QUIET_SECONDS = 0.5  # seconds in which nothing is to happen
-ANSWER_SECONDS = 1.0  # seconds that an answer may take
+DELIVERY_SECONDS = 10.0  # limit for all that must arrive
+ROUND_SECONDS = 0.2  # between two tries: declarations may still be on their way
+QUIET_SECONDS = 0.5  # in which nothing else may arrive
+ANSWER_SECONDS = 1.0  # limit for an answer
 
 
-def probe_puts(stage: ProbeSessions) -> set[Delivery]:
-    """All publish on all keys while all subscribe to all of them: who heard whom."""
+def probe_puts(sessions: ProbeSessions) -> set[Delivery]:
+    """Publish on all keys from every session while every session subscribes to all of them."""
     heard, due = DeliveryLog(), allowed_deliveries(TrafficKind.PUT, PROBE_KEYS)
     with ExitStack() as stack:
-        for taker in stage.takers:
+        for taker in sessions.takers:
             for pattern in taker.patterns:
-                stack.enter_context(taker.bus.subscribe(pattern, _hearer(taker, heard)))
+                stack.enter_context(taker.bus.subscribe(pattern, _subscriber(taker, heard)))
         for _ in _rounds(heard, due):
-            for giver, bus in stage.givers.items():
+            for giver, bus in sessions.givers.items():
                 for key in (*WIDE_PATTERNS, *PROBE_KEYS):
                     bus.put(key, giver.encode(), encoding=ENCODING)
     return heard.seen
 
 
-def probe_queries(stage: ProbeSessions) -> set[Delivery]:
-    """All ask all keys while one after the other answers on all of them: who was answered by whom.
+def probe_queries(sessions: ProbeSessions) -> set[Delivery]:
+    """Ask all keys from every session while one session after the other answers on them.
 
-    What is allowed counts when the question and the answer arrived, anything else when one of them did.
+    An allowed delivery counts if question and answer arrived, any other if one of them did.
     """
     asked, answered, due = DeliveryLog(), DeliveryLog(), allowed_deliveries(TrafficKind.QUERY, PROBE_KEYS)
-    for taker in stage.takers:
+    for taker in sessions.takers:
         with ExitStack() as stack:
             for pattern in taker.patterns:
                 stack.enter_context(taker.bus.answer(pattern, _answerer(taker, asked)))
-            for _ in _rounds(answered, {meeting for meeting in due if meeting.taker == taker.name}):
-                for giver, bus in stage.givers.items():
-                    _ask_all(giver, bus, answered)
+            for _ in _rounds(answered, {one for one in due if one.taker == taker.name}):
+                for giver, bus in sessions.givers.items():
+                    for key in (*WIDE_PATTERNS, *PROBE_KEYS):
+                        with suppress(NoReply, Refused):
+                            reply = bus.ask(key, giver.encode(), timeout=ANSWER_SECONDS)
+                            name = reply.decode(errors="replace")
+                            answered.add(Delivery(TrafficKind.QUERY, key, giver, name))
     both, any_ = asked.seen & answered.seen, asked.seen | answered.seen
     return both | (any_ - due)
 
 
-def probe_tokens(stage: ProbeSessions) -> set[Delivery]:
-    """One after the other is alive on all keys while all watch them: who saw whom."""
-    found = set()
-    for giver, bus in stage.givers.items():
-        seen, due = (
-            DeliveryLog(),
-            {
-                meeting
-                for meeting in allowed_deliveries(TrafficKind.TOKEN, PROBE_KEYS)
-                if meeting.giver == giver
-            },
-        )
+def probe_tokens(sessions: ProbeSessions) -> set[Delivery]:
+    """Declare tokens on all keys from one session after the other while every session watches."""
+    found, allowed = set(), allowed_deliveries(TrafficKind.TOKEN, PROBE_KEYS)
+    for giver, bus in sessions.givers.items():
+        seen, due = DeliveryLog(), {delivery for delivery in allowed if delivery.giver == giver}
         with ExitStack() as stack:
             for key in PROBE_KEYS:
                 stack.enter_context(bus.token(key))
-            for taker in stage.takers:
+            for taker in sessions.takers:
                 for pattern in taker.patterns:
                     stack.enter_context(taker.bus.watch(pattern, _watcher(giver, taker, seen)))
             seen.wait(due, DELIVERY_SECONDS)
             time.sleep(QUIET_SECONDS)
-        time.sleep(QUIET_SECONDS)  # until nobody sees these tokens any more
+        time.sleep(QUIET_SECONDS)  # until these tokens are gone everywhere
         found |= seen.seen
     return found
 
@@ -287,7 +254,7 @@ PROBES = {TrafficKind.PUT: probe_puts, TrafficKind.QUERY: probe_queries, Traffic
 
 
 def _rounds(notes: DeliveryLog, due: set[Delivery]) -> Iterator[None]:
-    """Rounds of tries: until everything that is due was seen, and once more; and a quiet while after it."""
+    """Yield for each try: until all due deliveries were seen, and once more; then wait a while."""
     deadline = time.monotonic() + DELIVERY_SECONDS
     yield
     while not notes.wait(due, ROUND_SECONDS) and time.monotonic() < deadline:
@@ -296,21 +263,13 @@ def _rounds(notes: DeliveryLog, due: set[Delivery]) -> Iterator[None]:
     time.sleep(QUIET_SECONDS)
 
 
-def _ask_all(giver: str, bus: Bus, answered: DeliveryLog) -> None:
-    """Ask every key once."""
-    for key in (*WIDE_PATTERNS, *PROBE_KEYS):
-        with suppress(NoReply, Refused):
-            taker = bus.ask(key, giver.encode(), timeout=ANSWER_SECONDS).decode(errors="replace")
-            answered.add(Delivery(TrafficKind.QUERY, key, giver, taker))
-
-
-def _hearer(taker: ProbeReceiver, heard: DeliveryLog) -> SampleHandler:
-    def hear(sample: Sample) -> None:
+def _subscriber(taker: ProbeReceiver, heard: DeliveryLog) -> SampleHandler:
+    def take(sample: Sample) -> None:
         giver = sample.payload.decode(errors="replace")
         if giver in PROBE_NAMES:
             heard.add(Delivery(TrafficKind.PUT, sample.key, giver, taker.name))
 
-    return hear
+    return take
 
 
 def _answerer(taker: ProbeReceiver, asked: DeliveryLog) -> QueryHandler:
@@ -332,33 +291,27 @@ def _watcher(giver: str, taker: ProbeReceiver, seen: DeliveryLog) -> TokenHandle
     return watch
 
 
-LOGIN_SECONDS = 1.0  # seconds that opening a session may take
-LONG_AGO = timedelta(days=2)  # A certificate that was issued then for a day has expired
+LOGIN_SECONDS = 1.0  # limit for opening a session
+LONG_AGO = timedelta(days=2)  # a certificate that was issued then for a day has expired
 
 
 @dataclass(frozen=True)
 class LoginAttempt:
-    """Somebody who tried to get in.
-
-    Attributes
-    ----------
-    who
-        In words.
-    got_in
-        A session was opened, which is wrong.
-    """
+    """An attempt to open a session without the right to one."""
 
     who: str
+    """The certificate that was shown, in words."""
     got_in: bool
+    """A session was opened, which is wrong."""
 
 
 def try_logins(endpoint: str, folder: Path) -> list[LoginAttempt]:
-    """Knock as every kind of stranger, and as one who is welcome.
+    """Try to open a session with every kind of bad certificate, and with a good one.
 
     Raises
     ------
     EndpointError
-        The one who is welcome does not get in either: the router is away, or slower than we wait.
+        The good one opens no session either: the router is away, or slower than `LOGIN_SECONDS`.
     """
     ours, theirs, now = SecurityFolder(folder).authority, authority.create_authority(1), datetime.now(UTC)
     tried = [
@@ -376,7 +329,7 @@ def try_logins(endpoint: str, folder: Path) -> list[LoginAttempt]:
 
 
 def _greets(endpoint: str, folder: Path) -> bool:
-    """Whether a router takes somebody who shows nothing."""
+    """Return True if a router accepts a client without a certificate."""
     known = Credentials(folder, Role.WORKER)
     try:
         return shake_hands(Endpoint.parse(endpoint), ssl.create_default_context(cafile=str(known.authority)))
@@ -387,7 +340,7 @@ def _greets(endpoint: str, folder: Path) -> bool:
 def _opens(
     endpoint: str, signer: CertificateIdentity, trusted: CertificateIdentity, issued: datetime
 ) -> bool:
-    """Whether a router takes a worker's certificate of this signer."""
+    """Return True if a router accepts a worker's certificate of this signer."""
     with temporary_certificate(signer, Role.WORKER.common_name, trusts=trusted, now=issued) as shown:
         return _connects(endpoint, shown)
 

@@ -29,55 +29,44 @@ VERBS = tuple(verb for way in TrafficKind for verb in (GIVES[way], TAKES[way]))
 
 @dataclass(frozen=True)
 class AccessCell:
-    """What one role does with one key.
-
-    Attributes
-    ----------
-    key
-        The key.
-    verb
-        What: put, hear, ask, answer, live, watch.
-    role
-        Who.
-    is_allowed
-        By the table of traffic.
-    wrong
-        What was seen that should not have been, or was not seen; empty where all is as it should be.
-    """
+    """A role's use of one verb on one key."""
 
     key: str
     verb: str
+    """put, hear, ask, answer, live or watch."""
     role: str
     is_allowed: bool
+    """By the table of traffic."""
     wrong: tuple[str, ...] = ()
+    """Deliveries that are not allowed, or were not seen; empty: as it should be."""
 
     @property
     def mark(self) -> str:
-        """What the printed table shows."""
+        """Text in the printed table."""
         if self.wrong:
             return "WRONG"
         return "yes" if self.is_allowed else "-"
 
 
 def access_matrix(seen: set[Delivery]) -> list[AccessCell]:
-    """The matrix, from all meetings that were seen."""
-    blames = _faults_by_cell(seen)
+    """Make the matrix from all deliveries that were seen."""
+    faults = _faults_by_cell(seen)
     return [
-        AccessCell(key, verb, role, role in permitted(way, key), tuple(blames.get((key, verb, role), ())))
+        AccessCell(key, verb, role, role in permitted(kind, key), tuple(faults.get((key, verb, role), ())))
         for key in PROBE_KEYS
-        for way in TrafficKind
-        for verb, permitted in ((GIVES[way], allowed_givers), (TAKES[way], allowed_takers))
+        for kind in TrafficKind
+        for verb, permitted in ((GIVES[kind], allowed_givers), (TAKES[kind], allowed_takers))
         for role in PROBE_NAMES
     ]
 
 
 def wide_deliveries(seen: set[Delivery]) -> list[str]:
-    """What went over patterns that no role may use, in words."""
-    return sorted(_words(meeting) for meeting in seen if _is_wide(meeting))
+    """Describe the deliveries over patterns that no role may use."""
+    return sorted(_words(delivery) for delivery in seen if _is_wide(delivery))
 
 
 def matrix_table(matrix: Iterable[AccessCell]) -> str:
-    """The rows in which somebody is allowed something, or something is wrong."""
+    """Format the rows of the matrix in which something is allowed or wrong."""
     rows: dict[tuple[str, str], list[AccessCell]] = {}
     for cell in matrix:
         rows.setdefault((cell.key, cell.verb), []).append(cell)
@@ -91,42 +80,45 @@ def matrix_table(matrix: Iterable[AccessCell]) -> str:
 
 
 def short_key(key: str) -> str:
-    """A key without what is the same for all."""
+    """Return a key without the prefix that all keys share."""
     return key.removeprefix(f"{ROOT}/{PROBE_JOB}/").replace(PROBE_JOB, "*")
 
 
 def _faults_by_cell(seen: set[Delivery]) -> dict[tuple[str, str, str], list[str]]:
-    """What is wrong, by cell: of a meeting that should not be, whoever's part in it is not allowed."""
+    """Collect the faults of each cell: deliveries that are not allowed or were not seen.
+
+    One that is not allowed counts against the giver, or against the taker if the giver may give there.
+    """
     found: dict[tuple[str, str, str], list[str]] = {}
-    due = set().union(*(allowed_deliveries(way, PROBE_KEYS) for way in TrafficKind))
-    for meeting in sorted(seen - due, key=_words):
-        if _is_wide(meeting):
+    due = set().union(*(allowed_deliveries(kind, PROBE_KEYS) for kind in TrafficKind))
+    for delivery in sorted(seen - due, key=_words):
+        if _is_wide(delivery):
             continue
-        may_give = meeting.giver in allowed_givers(meeting.way, meeting.key)
-        cell = _takes(meeting) if may_give else _gives(meeting)
-        found.setdefault(cell, []).append(f"{_words(meeting)}, which is not allowed")
-    for meeting in sorted(due - seen, key=_words):
-        for cell in (_gives(meeting), _takes(meeting)):
-            found.setdefault(cell, []).append(f"not seen: {_words(meeting)}")
+        may_give = delivery.giver in allowed_givers(delivery.kind, delivery.key)
+        cell = _takes(delivery) if may_give else _gives(delivery)
+        found.setdefault(cell, []).append(f"{_words(delivery)}, which is not allowed")
+    for delivery in sorted(due - seen, key=_words):
+        for cell in (_gives(delivery), _takes(delivery)):
+            found.setdefault(cell, []).append(f"not seen: {_words(delivery)}")
     return found
 
 
-def _gives(meeting: Delivery) -> tuple[str, str, str]:
-    return meeting.key, GIVES[meeting.way], meeting.giver
+def _gives(delivery: Delivery) -> tuple[str, str, str]:
+    return delivery.key, GIVES[delivery.kind], delivery.giver
 
 
-def _takes(meeting: Delivery) -> tuple[str, str, str]:
-    return meeting.key, TAKES[meeting.way], meeting.taker
+def _takes(delivery: Delivery) -> tuple[str, str, str]:
+    return delivery.key, TAKES[delivery.kind], delivery.taker
 
 
-def _is_wide(meeting: Delivery) -> bool:
-    """Whether the giver or the taker used a pattern."""
-    return meeting.key not in PROBE_KEYS or meeting.taker not in PROBE_NAMES
+def _is_wide(delivery: Delivery) -> bool:
+    """Return True if the giver or the taker used a wide pattern."""
+    return delivery.key not in PROBE_KEYS or delivery.taker not in PROBE_NAMES
 
 
-def _words(meeting: Delivery) -> str:
-    way, key = meeting.way, meeting.key
-    return f"{meeting.giver} to {meeting.taker} ({GIVES[way]}, {TAKES[way]}) on {short_key(key)}"
+def _words(delivery: Delivery) -> str:
+    kind, key = delivery.kind, delivery.key
+    return f"{delivery.giver} to {delivery.taker} ({GIVES[kind]}, {TAKES[kind]}) on {short_key(key)}"
 
 
 SESSION_SECONDS = 10.0  # seconds that opening a session may take
@@ -134,60 +126,45 @@ SESSION_SECONDS = 10.0  # seconds that opening a session may take
 
 @dataclass(frozen=True)
 class AccessReport:
-    """What was found.
-
-    Attributes
-    ----------
-    matrix
-        Every key, verb and role.
-    wide
-        What went over patterns that no role may use.
-    knocks
-        Who tried to get in without a session being theirs to have.
-    """
+    """The result of `qdgrasp security check`."""
 
     matrix: list[AccessCell]
+    """One cell for every key, verb and role."""
     wide: list[str]
-    knocks: list[LoginAttempt]
+    """Deliveries over patterns that no role may use, in words."""
+    logins: list[LoginAttempt]
 
     @property
     def faults(self) -> list[str]:
-        """All that is not as it should be, in words."""
-        told = [words for cell in self.matrix for words in cell.wrong]
+        """All faults, in words."""
+        wrong = [words for cell in self.matrix for words in cell.wrong]
         over = [f"by a pattern that nobody may use: {words}" for words in self.wide]
-        inside = [f"got in with {knock.who}" for knock in self.knocks if knock.got_in]
-        return [*dict.fromkeys(told), *over, *inside]
+        inside = [f"got in with {login.who}" for login in self.logins if login.got_in]
+        return [*dict.fromkeys(wrong), *over, *inside]
 
     @property
-    def holds(self) -> bool:
-        """Everything was as it should be."""
-        return not self.faults
-
-    @property
-    def words(self) -> str:
-        """A summary in a sentence."""
+    def summary(self) -> str:
+        """The counts in a sentence."""
         wrong = sum(bool(cell.wrong) for cell in self.matrix)
         permitted = sum(cell.is_allowed for cell in self.matrix)
-        inside = sum(knock.got_in for knock in self.knocks)
+        inside = sum(login.got_in for login in self.logins)
         return (
             f"{len(self.matrix)} cells measured: {permitted} allowed, {len(self.matrix) - permitted} silent, "
             f"{wrong} wrong; {len(WIDE_PATTERNS)} wide patterns tried by {len(PROBE_NAMES)} "
             f"roles, {len(self.wide)} leaks; "
-            f"{len(self.knocks)} kinds of strangers, {inside} got in."
+            f"{len(self.logins)} kinds of strangers, {inside} got in."
         )
 
 
 def check_access(endpoint: str, folder: Path, *, takers_at: str | None = None) -> AccessReport:
-    """Try everything at the router on `endpoint`.
+    """Probe the router on `endpoint`.
 
     Parameters
     ----------
-    endpoint
-        Of the router.
     folder
-        What `qdgrasp security init` wrote, with the authority's key.
+        The folder that `qdgrasp security init` wrote, with the authority's key.
     takers_at
-        Of a second router, which relays with the first: those who take are its clients; None: one router.
+        Endpoint of a second router that relays with the first, for the takers; None: one router.
 
     Raises
     ------
@@ -198,6 +175,6 @@ def check_access(endpoint: str, folder: Path, *, takers_at: str | None = None) -
     """
     for place in filter(None, (endpoint, takers_at)):
         Endpoint.parse(place)
-    with open_sessions(endpoint, folder, SESSION_SECONDS, takers_at) as actors:
-        seen = set().union(*(attempt(actors) for attempt in PROBES.values()))
+    with open_sessions(endpoint, folder, SESSION_SECONDS, takers_at) as sessions:
+        seen = set().union(*(probe(sessions) for probe in PROBES.values()))
     return AccessReport(access_matrix(seen), wide_deliveries(seen), try_logins(endpoint, folder))

@@ -38,13 +38,7 @@ class CertificateIdentity:
 
     @classmethod
     def from_pem(cls, certificate: bytes, key: bytes) -> "CertificateIdentity":
-        """Read both from PEM.
-
-        Raises
-        ------
-        SecurityError
-            They are not PEM, or the key is of another kind.
-        """
+        """Read both from PEM; raises SecurityError for other text or another kind of key."""
         try:
             private = serialization.load_pem_private_key(key, None)
             public = x509.load_pem_x509_certificate(certificate)
@@ -90,18 +84,16 @@ def issue_certificate(
     holder: str = "",
     now: datetime | None = None,
 ) -> CertificateIdentity:
-    """Issue a certificate.
+    """Issue a certificate that is good for `days`.
 
     Parameters
     ----------
     common_name
-        What it allows: a role's common name.
-    days
-        How long.
+        A role's common name, which decides on its rights.
     hosts
-        Names and addresses that it may be shown by: a router's.
+        Names and addresses of the router that shows it.
     holder
-        Whose it is, for people: a node's name, for example.
+        Its owner, for people: a node's name, for example.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     names = [_alternative(host) for host in hosts]

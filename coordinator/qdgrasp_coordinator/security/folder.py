@@ -1,4 +1,4 @@
-"""The folder that `qdgrasp security init` writes: an authority, and certificates of each role."""
+"""The folder that `qdgrasp security init` writes: authority and certificates of all roles."""
 
 import ipaddress
 import os
@@ -23,27 +23,17 @@ HOST = re.compile(
 
 
 class SecurityFolder:
-    """Certificates and keys in a folder that only its owner can read.
-
-    Parameters
-    ----------
-    path
-        Where.
-    """
+    """Certificates and keys in a folder that only its owner can read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @classmethod
     def create(cls, path: Path, *, hosts: Sequence[str], days: int) -> "SecurityFolder":
-        """Found an authority and issue a certificate for each role; the folder appears whole or not at all.
+        """Create an authority and a certificate for each role, all files or none.
 
-        Parameters
-        ----------
-        hosts
-            Names and addresses by which routers are reached; the first stands in clients' configurations.
-        days
-            How long the certificates are good.
+        The first of `hosts`, by which routers are reached, stands in clients' configurations. Certificates
+        are good for `days`.
 
         Raises
         ------
@@ -65,13 +55,7 @@ class SecurityFolder:
 
     @property
     def authority(self) -> CertificateIdentity:
-        """The authority.
-
-        Raises
-        ------
-        SecurityError
-            Its files are not here, or cannot be read.
-        """
+        """The authority; raises SecurityError if its files are missing or cannot be read."""
         try:
             files = [(self.path / name).read_bytes() for name in ("ca.pem", "ca.key")]
         except OSError as error:
@@ -122,7 +106,7 @@ def _issue(
     days: int,
     holder: str = "",
 ) -> None:
-    """Write what a role proves itself with into a folder that will be that of `files`."""
+    """Write certificate, key and configuration of a role into a folder that `files` will name."""
     names = hosts if files.role is Role.ROUTER else ()
     identity = authority.issue_certificate(root, files.role.common_name, days, hosts=names, holder=holder)
     write_private_file(made / files.certificate.name, identity.certificate_pem)
@@ -131,13 +115,7 @@ def _issue(
 
 
 def check_hosts(hosts: Sequence[str]) -> None:
-    """See that every host is a name or an address.
-
-    Raises
-    ------
-    ImpossibleValue
-        One is not, or there is none.
-    """
+    """Check that there is a host and that each is a name or an address; else ImpossibleValue."""
     if not hosts:
         raise ImpossibleValue("--host", "", "at least one name or address")
     for host in hosts:
@@ -149,6 +127,6 @@ def check_hosts(hosts: Sequence[str]) -> None:
 
 
 def write_private_file(path: Path, content: bytes) -> None:
-    """Write a file that is there for the first time, readable by its owner only from the start."""
+    """Write a new file that only its owner can read from the start."""
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE), "wb") as file:
         file.write(content)

@@ -19,7 +19,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def encrypted_endpoint() -> str:
     """One on a port that is free now."""
-    return own_endpoint().replace("tcp/", "tls/")
+    return own_endpoint("tls")
 
 
 @pytest.fixture(scope="session")

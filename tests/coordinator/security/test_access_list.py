@@ -60,7 +60,7 @@ def test_nobody_but_the_coordinator_hands_out_work_or_takes_results() -> None:
 
 def test_a_monitor_says_nothing() -> None:
     assert not any(
-        role == "monitor" and flow.way is not TrafficKind.QUERY for flow in TRAFFIC for role in flow.givers
+        role == "monitor" and flow.kind is not TrafficKind.QUERY for flow in TRAFFIC for role in flow.givers
     )
     sent = {
         message for rule in rules("monitor") if "ingress" in rule["flows"] for message in rule["messages"]
@@ -99,9 +99,9 @@ def test_everything_that_carries_bytes_has_a_limit() -> None:
         for key in entry["key_exprs"]
     }
     for flow in TRAFFIC:
-        if flow.way is TrafficKind.PUT:
+        if flow.kind is TrafficKind.PUT:
             assert 0 < limits["put", flow.key] <= MAX_PAYLOAD
-        if flow.way is TrafficKind.QUERY:
+        if flow.kind is TrafficKind.QUERY:
             assert 0 < limits["query", flow.key] <= MAX_PAYLOAD
             assert 0 < limits["reply", flow.key] <= MAX_PAYLOAD
 
@@ -175,7 +175,7 @@ def test_the_page_has_the_table_of_traffic() -> None:
     assert described == [
         (
             flow.key.removeprefix("qdgrasp/v1/*/"),
-            flow.way.value,
+            flow.kind.value,
             set(flow.givers),
             set(flow.takers),
             [size for size in (flow.limit, flow.answer_limit) if size],

@@ -1,6 +1,5 @@
 """A server of the page, with jobs made by hand behind it."""
 
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -57,12 +56,6 @@ def client(feed: FakeFeed, access: Access | None = None) -> TestClient:
     """A client on this machine."""
     app = application(live_site(feed, FakeLibrary()), access or Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", follow_redirects=False)
-
-
-def free_port() -> int:
-    with socket.create_server((HERE, 0)) as found:
-        port: int = found.getsockname()[1]
-        return port
 
 
 def serving(

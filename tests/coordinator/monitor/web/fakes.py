@@ -38,9 +38,13 @@ STEP = 60
 
 
 class FakeFeed:
-    """A single run `mug`, and a job `hands` of six."""
+    """A single run `mug`, and a job `hands` of six.
+
+    Time stands still between steps: however slow a browser is, no job falls silent meanwhile.
+    """
 
     def __init__(self) -> None:
+        self.now = time.time()
         self.jobs = JobModels()
         self.steps = 0
         self.gone: set[int] = set()
@@ -56,13 +60,14 @@ class FakeFeed:
 
     def views(self) -> list[JobView]:
         with self.lock:
-            return self.jobs.views(time.time())
+            return self.jobs.views(self.now)
 
     def step(self, at: float | None = None) -> None:
         """Go on by some evaluations."""
         self.steps += 1
-        at = time.time() if at is None else at
         with self.lock:
+            self.now = time.time()
+            at = self.now if at is None else at
             self.jobs.receive_answers(_values("mug", ["mug"], self.steps, self.gone, at), at)
             names = [f"panda-{what}-aimed-s{seed}" for what in ("mug", "drill", "banana") for seed in (0, 1)]
             self.jobs.receive_answers(_values("hands", names, self.steps, set(), at), at)
@@ -71,7 +76,8 @@ class FakeFeed:
         """Have something happen in the job `mug`."""
         event = JobEvent(number=1000 + self.steps, at=datetime.now(UTC), kind=kind, words=words)  # type: ignore[arg-type]
         with self.lock:
-            self.jobs.receive_answers({Keys("mug").event(kind): to_json(event)}, time.time())
+            self.now = time.time()
+            self.jobs.receive_answers({Keys("mug").event(kind): to_json(event)}, self.now)
 
     @contextmanager
     def going_on(self, interval: float = 0.2) -> Iterator[None]:

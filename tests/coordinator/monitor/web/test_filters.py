@@ -8,8 +8,8 @@ import pytest
 from msgspec.structs import replace
 from tests import browser
 from tests.browser import expect
-from tests.common import PATIENCE
-from tests.coordinator.monitor.web.conftest import free_port, serving
+from tests.common import PATIENCE, free_port
+from tests.coordinator.monitor.web.conftest import serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, HandMadeRecords, finds
 from tests.coordinator.scenes import made_scene
 

@@ -10,8 +10,9 @@ import pytest
 from msgspec.structs import replace
 from tests import browser
 from tests.browser import PATIENCE, PHONE, expect, figure, number
+from tests.common import free_port
 from tests.coordinator.monitor.sample_jobs import curve, run, values
-from tests.coordinator.monitor.web.conftest import free_port, serving
+from tests.coordinator.monitor.web.conftest import serving
 from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, FakeLibrary
 from tests.coordinator.scheduler.fakes import until
 

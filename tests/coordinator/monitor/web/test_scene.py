@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tests import browser
 from tests.browser import expect
-from tests.common import PATIENCE
-from tests.coordinator.monitor.web.conftest import free_port, serving
+from tests.common import PATIENCE, free_port
+from tests.coordinator.monitor.web.conftest import serving
 from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, HandMadeRecords, finds, random_finds
 from tests.coordinator.scenes import made_scene
 

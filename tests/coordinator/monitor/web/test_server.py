@@ -15,8 +15,8 @@ from urllib.request import urlopen
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from tests.common import PATIENCE
-from tests.coordinator.monitor.web.conftest import HERE, client, free_port, serving
+from tests.common import PATIENCE, free_port
+from tests.coordinator.monitor.web.conftest import HERE, client, serving
 from tests.coordinator.monitor.web.fakes import STEP, FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web import server

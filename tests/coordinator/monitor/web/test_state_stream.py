@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from starlette.types import Message
-from tests.common import PATIENCE
-from tests.coordinator.monitor.web.conftest import HERE, free_port, serving
+from tests.common import PATIENCE, free_port
+from tests.coordinator.monitor.web.conftest import HERE, serving
 from tests.coordinator.monitor.web.fakes import FakeFeed, FakeLibrary
 
 from qdgrasp_coordinator.monitor.web import state_stream

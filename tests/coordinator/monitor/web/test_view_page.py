@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from tests import browser
 from tests.browser import PHONE, expect
-from tests.coordinator.monitor.web.conftest import free_port, serving_site
+from tests.common import free_port
+from tests.coordinator.monitor.web.conftest import serving_site
 from tests.coordinator.monitor.web.test_page import CONTRAST, FOCUSED, NAMELESS
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
