@@ -157,4 +157,4 @@ def test_a_worker_is_told_to_leave_before_its_crew_ends_it(tmp_path: Path, grace
 def test_workers_are_started_in_one_place() -> None:
     room = Path(qdgrasp_coordinator.__file__).parent
     starters = [file.relative_to(room) for file in room.rglob("*.py") if '.hire(f"worker' in file.read_text()]
-    assert starters == [Path("watching/workers.py")]
+    assert starters == [Path("local/restart_policy.py")]
