@@ -11,7 +11,7 @@ from benchmarks.results.measure import harvest
 from benchmarks.results.programme import STAGE, Costs, Programme, Wanted, chosen, ordered, programme, stages
 from benchmarks.results.table import Key, Row
 from benchmarks.results.work import Store
-from tests.benchmarks.result_rows import BEFORE, TODAY, row
+from tests.benchmarks.test_results_table import BEFORE, TODAY, row
 from tests.coordinator.recorded_runs import SHAPE, random_rows
 
 from qdgrasp_assets.catalog import build_scene

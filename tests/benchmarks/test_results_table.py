@@ -12,11 +12,23 @@ from benchmarks.results.comparison import arms, comparison_part
 from benchmarks.results.page import coverage_part, cpu_part, page
 from benchmarks.results.programme import Programme, Wanted, programme
 from benchmarks.results.table import COLUMNS, Row, key
-from tests.benchmarks import result_rows
-from tests.benchmarks.result_rows import BEFORE, TODAY, row
 
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
+
+TODAY, BEFORE = "c0de" * 4, "01dc0de0" * 2
+
+
+def row(method: str = "aimed", seed: int = 0, **values: Any) -> Row:
+    """A finished run of 1000 evaluations."""
+    said: dict[str, Any] = {
+        "gripper": "panda", "object": "ycb_mug", "protocol": "paper", "overlaps": "count", "settings": "",
+        "budget": 1000, "version": "0.1.0", "code": TODAY, "platform": "aa", "scene": "bb", "journal": "cc",
+        "evaluations": 1000, "simulated": 500, "proposals": 1000, "successes": 100, "grasps": 80,
+        "robust": 60, "cells": 90, "cpu_seconds": 10.0,
+    }  # fmt: skip
+    return Row(**{**said, "method": method, "seed": seed, **values})
+
 
 ROWS = [row(seed=seed, method=method) for method in ("aimed", "me_scs") for seed in (0, 1, 10)]
 
@@ -126,7 +138,7 @@ CUBE = {"gripper": "ref_panda_2f", "object": "ycb_rubiks_cube", "protocol": "rel
 def made_row(method: str = "aimed", seed: int = 0, **values: Any) -> Row:
     """A finished run of the default method or another, with that method's own settings."""
     settings = "population=50" if method == "aimed" else ""
-    return result_rows.row(method, seed, **{"settings": settings, **values})
+    return row(method, seed, **{"settings": settings, **values})
 
 
 def of(*rows: Row, absent: tuple[Row, ...] = ()) -> tuple[Programme, dict]:

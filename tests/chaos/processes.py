@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from tests.chaos.plan import HEAD
-from tests.chaos.slow_simulator import PACE
+from tests.chaos.simulator import PACE
 from tests.common import PATIENCE, own_endpoint
 from tests.system.commands import rows_recorded
 

@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from tests.chaos.failing_simulator import DEEDS, WAYS
 from tests.chaos.plan import Course
 from tests.chaos.play import recorded_digest, undisturbed_digest
 from tests.chaos.processes import JobProcesses
-from tests.chaos.worker import SIMULATOR
+from tests.chaos.simulator import DEEDS, WAYS
 from tests.system.commands import wait_for
 
 from qdgrasp_coordinator.storage.journal_schema import FILE
@@ -133,7 +132,7 @@ def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(
 ) -> None:
     deeds = tmp_path / "deeds"
     deeds.mkdir()
-    environment = {SIMULATOR: "tests.chaos.failing_simulator", DEEDS: str(deeds)}
+    environment = {DEEDS: str(deeds)}
     limits = ("--row-seconds", 1, "--memory", 400)
     with JobProcesses(tmp_path, SPEC, workers=2, options=limits, **environment) as household:
         household.start()

@@ -103,7 +103,7 @@ ELSEWHERE = {
     r"make ": "Make's targets are what `make` itself, CI and the tests run",
     r"python3\.11 -m venv": "installs the package from the network",
     r"\. \.venv/bin/activate": "enters the environment, in which tests are already",
-    r"python -m tests\.": "runs for minutes to hours; the modules have tests of their own",
+    r"python -m (tests|benchmarks|docs)\b": "runs for minutes to hours; the modules have tests of their own",
     r"systemctl ": "needs systemd and root; the units have tests of their own (tests/deploy)",
     r".*\bsbatch ": "needs Slurm; the scripts have tests of their own (tests/deploy)",
     r".*\bdocker ": "needs Docker and the network; the files have tests of their own (tests/deploy)",

@@ -226,15 +226,18 @@ MONITOR = "qdgrasp_coordinator.cli.monitor_process"
 
 
 class Watched:
-    """A run with two workers on an endpoint of its own, and the address of its page."""
+    """A run with two workers on an endpoint of its own, and a page that shows it from some time on."""
 
     def __init__(self, qdgrasp: Commands, job: str, *flags: object) -> None:
-        self._qdgrasp, self._job, self._endpoint = qdgrasp, job, own_endpoint()
-        self.folder = qdgrasp.home / "run"
-        place = ("--out", "run", "--job", job, "--listen", self._endpoint)
+        self.qdgrasp, self.job, self.folder = qdgrasp, job, qdgrasp.home / "run"
+        endpoint = own_endpoint()
+        self.place = ("--connect", endpoint, "--wait", 120)
+        place = ("--out", "run", "--job", job, "--listen", endpoint)
         self.run = qdgrasp.start("run", *flags, "--workers", 2, *place)
-        place = ("--connect", self._endpoint, "--wait", 120)
-        self.monitor = qdgrasp.start("--web", "127.0.0.1:0", *place, module=MONITOR)
+
+    def is_watched(self) -> None:
+        """Start the monitor that serves the page."""
+        self.monitor = self.qdgrasp.start("--web", "127.0.0.1:0", *self.place, module=MONITOR)
         self.address = _address(self.monitor)
 
     def pauses(self, rows: int) -> None:
@@ -248,7 +251,7 @@ class Watched:
         self._order("continue")
 
     def _order(self, command: str) -> None:
-        done = self._qdgrasp(command, self._job, "--connect", self._endpoint)
+        done = self.qdgrasp(command, self.job, *self.place[:2])
         assert done.code == 0, done.err
 
     def kill(self, role: str) -> None:

@@ -25,8 +25,10 @@ from typing import Any
 import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from tests import browser
+from tests.browser import figure, number
 from tests.common import PATIENCE, own_endpoint
-from tests.system.commands import SMALL, Commands, held, kill, pids, rows_recorded, wait_for
+from tests.system.commands import MONITOR, SMALL, Commands, Watched, held, kill, pids, rows_recorded, wait_for
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, RunStatus, WorkersPage, from_json
 from qdgrasp_coordinator.monitor.feed import Feed
@@ -42,7 +44,6 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
-MONITOR = "qdgrasp_coordinator.cli.monitor_process"
 ENDLESS = 98_765
 """Evaluations of a run that goes on until it is ended."""
 COUNTS = ("evaluations", "budget", "simulated", "proposals", "overlaps", "dead_ends", "successes", "cells")
@@ -270,26 +271,22 @@ ALL_COUNTS += ["successes", "grasps", "robust", "errors", "cells"]
 Counts = dict[str, Any]
 
 
-class Watched:
-    """A run with two workers on an endpoint of its own, and those who watch it from some time on."""
+class CountedRun(Watched):
+    """A run whose counts are read in every way there is."""
 
     def __init__(self, qdgrasp: Commands) -> None:
-        self.qdgrasp, self.folder = qdgrasp, qdgrasp.home / "run"
-        self._place = ("--connect", own_endpoint(), "--wait", 60)
-        spec = (*SMALL, "--evaluations", EVALUATIONS, "--workers", 2, "--batch-size", 10)
-        place = ("--out", "run", "--job", "balls", "--listen", self._place[1], "--disk-wait", PATIENCE)
-        self.run = qdgrasp.start("run", *spec, *place)
+        spec = (*SMALL, "--evaluations", EVALUATIONS, "--batch-size", 10)
+        super().__init__(qdgrasp, "balls", *spec, "--disk-wait", PATIENCE)
 
     def is_watched(self) -> None:
-        """Start those who watch."""
-        self.page = self.qdgrasp.start("--web", "127.0.0.1:0", *self._place, module=MONITOR)
+        """Start the page, and a stream of JSON."""
         self._lines: deque[str] = deque(maxlen=1)
-        self.stream = self.qdgrasp.start("--json", *self._place, module=MONITOR)
+        self.stream = self.qdgrasp.start("--json", *self.place, module=MONITOR)
         threading.Thread(target=lambda: self._lines.extend(self.stream.stdout), daemon=True).start()
-        self._address = _address(self.page)
+        super().is_watched()
 
     def fetch(self, path: str) -> str:
-        with urllib.request.urlopen(f"{self._address}{path}", timeout=PATIENCE) as answer:  # noqa: S310 - our own
+        with urllib.request.urlopen(f"{self.address}{path[1:]}", timeout=PATIENCE) as answer:  # noqa: S310 - our own
             return answer.read().decode()
 
     def look(self) -> Counts:
@@ -298,7 +295,7 @@ class Watched:
 
     def once(self, *flags: str) -> str:
         """What `qdgrasp-monitor --once` prints."""
-        return self.qdgrasp("--once", *flags, *self._place, entry="monitor").out
+        return self.qdgrasp("--once", *flags, *self.place, entry="monitor").out
 
     def streamed(self) -> Counts:
         """The run in the last line of `qdgrasp-monitor --json`."""
@@ -321,13 +318,6 @@ class Watched:
         resource.prlimit(recorder, resource.RLIMIT_FSIZE, (written, most))
         yield
         resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
-
-
-def _address(page: subprocess.Popen[str]) -> str:
-    for line in page.stderr:
-        if found := re.search(r"http://127\.0\.0\.1:\d+", line):
-            return found[0]
-    raise AssertionError("the monitor says no address")
 
 
 def _run_in(text: str) -> Counts:
@@ -374,7 +364,7 @@ def _in_journal(folder) -> Counts:
 
 
 def test_at_the_end_everybody_says_the_same(qdgrasp):
-    watched = Watched(qdgrasp)
+    watched = CountedRun(qdgrasp)
     wait_for(lambda: rows_recorded(watched.folder) > 0, "rows")
     with watched.without_room():
         watched.is_watched()
@@ -396,3 +386,42 @@ def test_at_the_end_everybody_says_the_same(qdgrasp):
     assert f"{info['successes']} successes in {info['cells']} cells" in out
     assert all(f"{looked[what]} {what}" in text for what in ("successes", "cells", "robust", "errors"))
     assert f"{looked['evaluations']} of {looked['budget']} evaluations" in text
+
+
+GROWN = "([node, before]) => Number(node.textContent.replace(/\\D/g, '')) > before"
+CELLS = re.compile(r"^[1-9]\S* cells of 1 cm")
+
+
+@browser.needed
+def test_the_page_shows_a_job_from_its_beginning_to_its_end_whoever_dies(qdgrasp: Commands) -> None:
+    from playwright.sync_api import expect
+
+    with browser.launched() as chromium:  # first: on a busy machine it takes as long as the job
+        watched = Watched(qdgrasp, "balls", *SMALL, "--method", "contact_me_scs", "--evaluations", 400)
+        watched.is_watched()
+        watched.pauses(100)  # so that it is there however long a busy machine takes to draw
+        visit = browser.Visit(chromium, f"{watched.address}#job=balls")
+        page = visit.page
+        page.evaluate("() => (window.kept = true)")
+        expect(page.locator("#scene-words")).to_have_text(CELLS, timeout=browser.PATIENCE)
+        done = page.locator("#done")
+        rows = page.locator("#workers tbody tr")
+        expect(rows).to_have_count(2, timeout=browser.PATIENCE)
+
+        watched.kill("worker")
+        expect(page.locator("#workers tr[data-state=gone]")).to_have_count(1, timeout=browser.PATIENCE)
+
+        watched.kill("coordinator")
+        expect(page.locator("#origin")).to_contain_text("turn 2", timeout=browser.PATIENCE)
+        before = number(figure(page, "Successes").inner_text())
+        watched.goes_on()
+        page.wait_for_function(GROWN, arg=[figure(page, "Successes").element_handle(), before])
+
+        watched.ends()
+        expect(page.locator("#state")).to_have_text(re.compile("^ended: "), timeout=browser.PATIENCE)
+        expect(done).to_have_text(re.compile(r"^400 of 400\b"))
+        info = qdgrasp.info("run")
+        for name in ("Successes", "Cells", "Grasps", "Robust"):
+            expect(figure(page, name)).to_have_text(str(info[name.lower()]))
+        assert page.evaluate("() => window.kept"), "the page was loaded again"
+        assert visit.complaints == []

@@ -38,7 +38,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 WORKERS = 70
 """More than stand on one page."""
-OWN = tracemalloc.Filter(True, "*/qdgrasp_coordinator/serving/*")
+OWN = tracemalloc.Filter(True, "*/qdgrasp_coordinator/scheduler/*")
 
 
 class Counted(MemoryBus):

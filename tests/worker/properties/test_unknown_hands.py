@@ -102,7 +102,7 @@ def test_a_hand_that_mimics_grasps(mimicking: Scene, draw: Callable[..., np.ndar
 
 @pytest.mark.parametrize(("mass", "moved"), [("0.1", 0.04), ("0", 0.0)])
 def test_a_joint_that_carries_no_mass_stands_still(tmp_path: Path, mass: str, moved: float) -> None:
-    """The reason for which such hands are refused (hands/weight.py)."""
+    """Why such hands are refused (gripper_setup)."""
     (tmp_path / "jaw.urdf").write_text(
         example_hands.JAW_URDF.replace('mass value="0.1"', f'mass value="{mass}"')
     )

@@ -1,20 +1,23 @@
-"""A simulator that fails in every way, once in each and never twice on the same row.
+"""A simulator that takes its time: CHAOS_PACE seconds for each row, besides what the evaluation takes.
 
-The way is decided by the genome; CHAOS_DEEDS is a folder where it is noted what was done.
+Where CHAOS_DEEDS names a folder it also fails in every way, once in each and never twice on the same row. The
+way is decided by the genome, and noted in that folder.
 """
 
 import hashlib
 import os
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from tests.chaos.slow_simulator import PACE, Slow
 
-from qdgrasp_worker.evaluator import Evaluation
+from qdgrasp_protocol.rows import RowShape
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation, Evaluator
 from qdgrasp_worker.runtime.simulator_main import load_scene, main
 
+PACE = "CHAOS_PACE"
 DEEDS = "CHAOS_DEEDS"
 ONE_IN = 4
 """One row in so many may fail."""
@@ -46,6 +49,26 @@ WAYS: dict[str, Callable[[], None]] = {
 }
 
 
+class Slow:
+    """An evaluator whose results come later."""
+
+    at_once = ROWS_AT_ONCE
+
+    def __init__(self, evaluator: Evaluator, pace: float) -> None:
+        self._evaluator = evaluator
+        self._pace = pace
+
+    def shape(self, prior: str) -> RowShape:
+        return self._evaluator.shape(prior)
+
+    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
+        time.sleep(self._pace * len(genomes))
+        return self._evaluator.evaluate(prior, genomes, trials)
+
+    def close(self) -> None:
+        self._evaluator.close()
+
+
 class Failing(Slow):
     """An evaluator that fails where a genome wants it and has not had it yet."""
 
@@ -69,4 +92,5 @@ def fail_once(genome: bytes) -> None:
 
 
 if __name__ == "__main__":
-    main(load=lambda bundle: Failing(load_scene(bundle), float(os.environ[PACE])))
+    kind = Failing if DEEDS in os.environ else Slow
+    main(load=lambda bundle: kind(load_scene(bundle), float(os.environ[PACE])))

@@ -1,6 +1,6 @@
 """Pictures of `qdgrasp view` for docs/looking.md: a grasp of a run, and what filters leave of another run.
 
-python -m tests.system.view_pictures docs/looking runs/mug runs/mug-allegro
+python -m docs.website.view_pictures docs/looking runs/mug runs/mug-allegro
 """
 
 import re
@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from docs.website.monitor_pictures import SETTLED, save
 from tests import browser
 from tests.browser import Visit
 from tests.system.commands import Commands
-from tests.system.monitor_pictures import SETTLED, save
 
 SLIDE = "(node, to) => { node.value = to; node.dispatchEvent(new Event('input')); }"
 
@@ -29,11 +29,11 @@ def main(out: Path, *runs: str) -> None:
 
 
 def address(commands: Commands, run: str) -> str:
-    """Where the grasps of a run are shown."""
+    """Return the address at which the grasps of a run are shown."""
     process = commands.start("view", run, "--no-open")
-    assert process.stdout is not None
-    found = re.search(r"http://\S+", process.stdout.readline())
-    assert found, process.stderr and process.stderr.read()
+    found = re.search(r"http://\S+", process.stdout.readline()) if process.stdout else None
+    if not found:
+        raise SystemExit(process.stderr and process.stderr.read())
     return found[0]
 
 

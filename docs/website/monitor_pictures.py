@@ -1,6 +1,6 @@
 """Pictures of the page for docs/watching: a real job on two workers at its start, midway and at its end.
 
-    python -m tests.system.monitor_pictures docs/watching
+    python -m docs.website.monitor_pictures docs/watching
 
 Midway a worker is killed, and the coordinator; how long the page took to show it is printed.
 """
@@ -35,6 +35,7 @@ def main(out: Path) -> None:
     with tempfile.TemporaryDirectory() as home, browser.launched() as chromium:
         commands = Commands(Path(home))
         watched = Watched(commands, "mug", *JOB)
+        watched.is_watched()
         visit = Visit(chromium, f"{watched.address}#job=mug", color_scheme="light")
         page = visit.page
         try:
@@ -58,7 +59,7 @@ def main(out: Path) -> None:
 
 def say(words: str) -> None:
     """Say how it goes, at once."""
-    print(words, flush=True)  # noqa: T201 - whoever takes pictures waits for minutes
+    print(words, flush=True)
 
 
 def dies(watched: Watched, role: str, page: Any) -> float:
