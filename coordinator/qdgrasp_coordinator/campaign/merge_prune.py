@@ -55,7 +55,6 @@ class MergeResult:
     """Result of merging runs."""
 
     summary: RunSummary
-    """Summary of the merged runs together."""
     repeats: tuple[str, ...]
     """One sentence for each run left out because another one has what it has."""
 

@@ -208,7 +208,6 @@ class NodeInfo(Struct, frozen=True, kw_only=True):
     system: str
     python: str
     packages: dict[str, str]
-    """Versions of packages by name."""
 
     @property
     def words(self) -> str:
@@ -260,7 +259,6 @@ class RegimeRate(Struct, frozen=True, kw_only=True):
     regime: str
     workers: int
     evaluations: int
-    """Evaluations that were counted for it."""
     per_second: float
     """Evaluations in a second of the clock on the wall, of all workers together."""
     per_cpu_second: float
