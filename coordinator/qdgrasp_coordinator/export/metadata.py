@@ -197,8 +197,7 @@ def jaw_metadata(metadata: GraspMetadata, gripper: SceneGripper) -> GraspMetadat
     )
     turn = ", ".join(f"{value:.9g}" for value in jaw_turn(gripper) + 0.0)
     words = (
-        f"origin of link '{gripper.base_link}'; +z approaches, along "
-        f"({join_numbers(gripper.approach_axis)}) of the "
-        f"link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
+        f"origin of link '{gripper.base_link}'; +z approaches, along ({join_numbers(gripper.approach_axis)}) "
+        f"of the link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
     )
     return msgspec.structs.replace(metadata, gripper_axes=words, quaternions=MATRIX_WORDS)

@@ -306,10 +306,8 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
     def run_time_words(self) -> str:
         """Predicted time of a run, in words."""
         times = [f"{duration(time)} if all are {regime}" for regime, time in self.run_seconds.items()]
-        return (
-            f"{RUN_EVALUATIONS:,} evaluations take "
-            f"{', '.join(times)}{'; a search lies between' * (len(times) > 1)}."
-        )
+        between = "; a search lies between" if len(times) > 1 else ""
+        return f"{RUN_EVALUATIONS:,} evaluations take {', '.join(times)}{between}."
 
 
 class NodeFigures(Struct, frozen=True, kw_only=True):
