@@ -353,9 +353,8 @@ def _read_masses(table: Path) -> dict[str, float]:
 
 def _refuse_table(table: Path, why: str = "") -> dict[str, float]:
     raise InputError(
-        f"'{table}' is no table of masses: it begins with the line "
-        f"`{','.join(MASS_COLUMNS)}`, and every other "
-        f"one is a mesh's file name and its mass in kg{why}."
+        f"'{table}' is no table of masses: it begins with the line `{','.join(MASS_COLUMNS)}`, and every "
+        f"other one is a mesh's file name and its mass in kg{why}."
     )
 
 

@@ -29,11 +29,7 @@ from qdgrasp_coordinator.metrics.success_metrics import SuccessMetrics, diversit
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
-from qdgrasp_coordinator.storage.journal_schema import (
-    FILE,
-    JournalIdentity,
-    explaining_read_errors,
-)
+from qdgrasp_coordinator.storage.journal_schema import FILE, JournalIdentity, explaining_read_errors
 from qdgrasp_coordinator.storage.journal_writer import explaining_write_errors
 from qdgrasp_coordinator.storage.outputs import LOGS
 from qdgrasp_coordinator.storage.run_folder import RunFolder, run_files
@@ -55,7 +51,6 @@ class MergeResult:
     """Result of merging runs."""
 
     summary: RunSummary
-    """Summary of the merged runs together."""
     repeats: tuple[str, ...]
     """One sentence for each run left out because another one has what it has."""
 

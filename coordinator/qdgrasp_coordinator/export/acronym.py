@@ -18,7 +18,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_coordinator.export.frames import UniformSolid, from_matrices, object_solid
+from qdgrasp_coordinator.export.frames import from_matrices, object_solid
 from qdgrasp_coordinator.export.grasp_set import Grasps
 from qdgrasp_coordinator.export.imported_grasps import (
     LONGEST,
@@ -60,8 +60,7 @@ class Hdf5Datasets:
             raise UnreadableGrasps(self._path, f"it has {found[0]} grasps; at most {MOST_GRASPS} are read")
         if data.nbytes > max(SMALL_BYTES, MOST_COMPRESSION * self._path.stat().st_size):
             raise UnreadableGrasps(self._path, f"its dataset '{name}' is far larger than the file")
-        numbers: Floats = data[()].astype(np.float64)
-        return numbers
+        return np.asarray(data[()].astype(np.float64))
 
     def read_scalar(self, name: str) -> float | None:
         """Read a number; None: it is missing."""
@@ -148,11 +147,7 @@ def _file_bytes(grasps: Grasps, metadata: GraspMetadata) -> bytes:
     import h5py
 
     with h5py.File("grasps", "w", driver="core", backing_store=False) as file:
-        for name, value in _object_datasets(
-            metadata, object_solid(grasps.scene.object, metadata.frame)
-        ).items():
-            file[f"object/{name}"] = value
-        for name, value in _grasp_datasets(grasps, metadata).items():
+        for name, value in _datasets(grasps, metadata).items():
             file[name] = value
         file[ABOUT] = metadata.json
         # what the file says of itself, one attribute each; specs and digests are in the dataset `about`
@@ -164,23 +159,18 @@ def _file_bytes(grasps: Grasps, metadata: GraspMetadata) -> bytes:
     return made
 
 
-def _object_datasets(metadata: GraspMetadata, body: UniformSolid) -> dict[str, object]:
-    return {
-        "file": metadata.object_file or metadata.object,
-        "scale": metadata.object_scale,
-        "mass": body.mass,
-        "density": body.density,
-        "friction": metadata.object_friction,
-        "volume": body.volume,
-        "com": body.com,
-        "inertia": body.inertia,
-    }
-
-
-def _grasp_datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
-    hand = grasps.scene.gripper
+def _datasets(grasps: Grasps, metadata: GraspMetadata) -> dict[str, Any]:
+    hand, body = grasps.scene.gripper, object_solid(grasps.scene.object, metadata.frame)
     opening = {"gripper/configuration": np.array([hand.jaw.opening / 2])} if hand.jaw else {}
     return {
+        "object/file": metadata.object_file or metadata.object,
+        "object/scale": metadata.object_scale,
+        "object/mass": body.mass,
+        "object/density": body.density,
+        "object/friction": metadata.object_friction,
+        "object/volume": body.volume,
+        "object/com": body.com,
+        "object/inertia": body.inertia,
         TRANSFORMS: jaw_transforms(grasps, metadata),
         SUCCESSES: grasps.is_grasp.astype(np.int8),
         CONFIDENCE: grasps.confidence,

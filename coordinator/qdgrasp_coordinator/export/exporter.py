@@ -17,7 +17,6 @@ from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.text import counted
 
-WriteGrasps = Callable[[Path, Grasps, GraspMetadata], None]
 ALL_FAILURES = -1  # So many failures as there are
 
 
@@ -26,7 +25,7 @@ class ExportFormat:
     """One format of files of grasps."""
 
     name: str
-    write: WriteGrasps
+    write: Callable[[Path, Grasps, GraspMetadata], None]
     suffix: str
     """Ending of its files; empty: it is a folder."""
     default_failures: int | None = 0
@@ -65,32 +64,13 @@ def export_run(
     force: bool = False,
     tell: Tell = ignore_progress,
 ) -> str:
-    """Write the chosen grasps of a run in the format of that name.
+    """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
 
-    Parameters
-    ----------
-    out
-        The file, or folder, that is written; it appears whole or not at all.
-    min_fitness, top, diverse
-        As in `choose`.
-    frame
-        "mesh" or "com": where the poses are told.
-    negatives
-        How many failures are written behind the grasps, at most; None: as many as is usual in the format.
-    force
-        Whether `out` may be replaced.
-    tell
-        Hears what is begun with.
-
-    Returns
-    -------
-    words
-        What was written, for a person.
-
-    Raises
-    ------
-    InputError
-        There is no such format or frame, there is nothing to write, or it cannot be read or written.
+    The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`
+    and `diverse` are as in `select_grasps`; poses are in the object's `frame`, "mesh" or "com". At most
+    `negatives` failures are written behind the grasps; None: as many as is usual in the format. `tell` is
+    called with each step that begins. Raises InputError if there is no such format or frame, there is nothing
+    to write, or it cannot be read or written.
     """
     if name not in FORMATS:
         raise UnknownName("format", name, FORMATS)
@@ -130,7 +110,7 @@ def _no_grasps(folder: RunFolder, every: Grasps, min_fitness: int) -> str:
     if not len(successes):
         with folder.journal() as journal:
             rows = counted(journal.count, "row")
-            return f"{folder.path} has no grasp to write: there is no success among {rows}."
+        return f"{folder.path} has no grasp to write: there is no success among {rows}."
     best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
     return (
         f"{folder.path} has no grasp with a fitness of {min_fitness} or more: the best of its "

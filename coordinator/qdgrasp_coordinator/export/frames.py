@@ -62,8 +62,7 @@ def jaw_turn(gripper: SceneGripper) -> Floats:
     """
     z = np.array([gripper.approach_axis])
     x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
-    rotation: Floats = from_frame(x, np.cross(z, x), z)[0]
-    return rotation
+    return np.asarray(from_frame(x, np.cross(z, x), z)[0])
 
 
 @dataclass(frozen=True)
@@ -98,8 +97,7 @@ class UniformSolid:
         volumes = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
         total = a + b + c
         seconds = np.einsum("n,nki,nkj->ij", volumes, (s := np.stack([a, b, c, total], axis=1)), s) / 20
-        inertia: Floats = self.density * (np.trace(seconds) * np.eye(3) - seconds)
-        return inertia
+        return np.asarray(self.density * (np.trace(seconds) * np.eye(3) - seconds))
 
 
 def object_solid(body: SceneObject, frame: Frame) -> UniformSolid:

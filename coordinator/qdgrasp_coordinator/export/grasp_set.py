@@ -128,26 +128,22 @@ class Grasps:
     @property
     def joints(self) -> NDArray[np.float32]:
         """(n, j): finger joints at the grasp [rad or m]."""
-        found: NDArray[np.float32] = self.rows["joints"]
-        return found
+        return np.asarray(self.rows["joints"])
 
     @property
     def fitness(self) -> NDArray[np.float32]:
         """(n,): shakes survived in the nominal evaluation, 0, 1 or 2."""
-        found: NDArray[np.float32] = self.rows["fitness"]
-        return found
+        return np.asarray(self.rows["fitness"])
 
     @property
     def is_success(self) -> NDArray[np.bool_]:
         """(n,): True if a finger touches the object after closing."""
-        found: NDArray[np.bool_] = self.rows["outcome"] >= Outcome.DROPPED
-        return found
+        return np.asarray(self.rows["outcome"] >= Outcome.DROPPED)
 
     @property
     def is_grasp(self) -> NDArray[np.bool_]:
         """(n,): True if at least one shake was survived."""
-        found: NDArray[np.bool_] = self.rows["outcome"] >= Outcome.SHAKEN
-        return found
+        return np.asarray(self.rows["outcome"] >= Outcome.SHAKEN)
 
     @cached_property
     def confidence(self) -> Floats:
@@ -251,24 +247,10 @@ def select_grasps(
 ) -> Grasps:
     """Select grasps that are good enough, of these the best, and of these well spread ones.
 
-    Parameters
-    ----------
-    min_fitness
-        Shakes survived in the nominal evaluation, at least: 0, 1 or 2. 0 takes all successes.
-    top
-        So many at most, best first (`order.best_first`: by eta where it is known, then by fitness).
-    diverse
-        So many at most, each as far as can be from those before it (`spread`), the best one first.
-
-    Returns
-    -------
-    chosen
-        In journal order, unless `top` or `diverse` is given.
-
-    Raises
-    ------
-    ImpossibleValue
-        A number is none of the kind.
+    `min_fitness` is the least number of shakes survived in the nominal evaluation, 0, 1 or 2; 0 takes all
+    successes. `top` takes so many at most, best first (`scores.best_first`: by eta where it is known, then by
+    fitness); `diverse` takes so many at most, each as far as can be from those before it (`spread_places`),
+    the best one first. Without both, grasps are in journal order. Raises ImpossibleValue for other numbers.
     """
     _check_number("min_fitness", min_fitness, whole=False)
     for name, value in (("top", top), ("diverse", diverse)):
@@ -315,12 +297,10 @@ def _squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floa
             cosine, _half_angle_cosines(poses[:, 3:], multiply(other[None, 3:], half[None])[0])
         )
     x, y, z = apart.T
-    squares: Floats = x * x + y * y + z * z + 4.0 * hand.reach**2 * (1.0 - np.minimum(cosine, 1.0) ** 2)
-    return squares
+    return np.asarray(x * x + y * y + z * z + 4.0 * hand.reach**2 * (1.0 - np.minimum(cosine, 1.0) ** 2))
 
 
 def _half_angle_cosines(quaternions: Floats, other: Floats) -> Floats:
     """Cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
     x, y, z, w = quaternions.T
-    cosine: Floats = np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3])
-    return cosine
+    return np.asarray(np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3]))

@@ -37,7 +37,6 @@ class ImportedGrasps:
     """Grasps in a file, as arrays of n lines; None: the file does not say it."""
 
     names: NDArray[np.str_]
-    """(n,)."""
     poses: Floats
     """(n, 7): x y z [m] and quaternion xyzw of the hand in the object's frame."""
     has_jaw_axes: bool = False
@@ -45,7 +44,6 @@ class ImportedGrasps:
     frame: Frame | None = None
     """The object's frame that poses are given in."""
     gripper: str | None = None
-    """The hand that has the poses."""
     link: str | None = None
     """The hand's link that has the poses."""
     start_positions: Mapping[str, Floats] = field(default_factory=dict)
@@ -55,7 +53,6 @@ class ImportedGrasps:
     synergies: NDArray[np.str_] | None = None
     """(n,), empty where all driven joints close."""
     confidence: Floats | None = None
-    """(n,)."""
     scale: float | None = None
     """Factor of the lengths of the object's mesh."""
     mass: float | None = None

@@ -203,11 +203,9 @@ def _root_poses(
     imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame, frame: Frame | None
 ) -> Floats:
     """Return the poses (n, 7) of the root link, in the centre-of-mass frame."""
-    poses = (
-        turn_hand_axes(imported.poses, conjugate(jaw_turn(hand)[None])[0])
-        if imported.has_jaw_axes
-        else imported.poses
-    )
+    poses = imported.poses
+    if imported.has_jaw_axes:
+        poses = turn_hand_axes(poses, conjugate(jaw_turn(hand)[None])[0])
     source = imported.frame or frame or MESH
     known = np.array(imported.metadata.com_in_mesh) if imported.metadata else body.com_in_mesh
     if source == COM and np.abs(known - body.com_in_mesh).max() < POSE_TOLERANCE:

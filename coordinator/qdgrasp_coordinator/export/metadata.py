@@ -76,7 +76,6 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     object_frame: str
     """Meaning of `frame` in words."""
     frame: Frame
-    """"mesh" or "com"."""
     object_com: tuple[float, float, float]
     """The centre of mass in that frame [m]."""
     com_in_mesh: tuple[float, float, float]
@@ -95,7 +94,6 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     """Order of their components in this file."""
     units: str = UNITS
     protocol: str
-    """The evaluation protocol."""
     success: str = SUCCESS_WORDS
     grasp: str = GRASP_WORDS
     fitness: str = FITNESS_MEANING
@@ -108,18 +106,12 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     @property
     def values(self) -> dict[str, Any]:
         """The fields as plain values."""
-        values: dict[str, Any] = msgspec.to_builtins(self)
-        return values
+        return dict(msgspec.to_builtins(self))
 
     @property
     def json(self) -> str:
         """The fields as one JSON object."""
         return msgspec.json.encode(self).decode()
-
-    def with_axes(self, *, axes: str | None = None, quaternions: str | None = None) -> "GraspMetadata":
-        """Return the same for other axes of the hand, or another order of quaternions."""
-        changed = {"gripper_axes": axes, "quaternions": quaternions}
-        return msgspec.structs.replace(self, **{name: words for name, words in changed.items() if words})
 
 
 def grasp_metadata(folder: RunFolder, grasps: Grasps, frame: Frame) -> GraspMetadata:
@@ -205,8 +197,7 @@ def jaw_metadata(metadata: GraspMetadata, gripper: SceneGripper) -> GraspMetadat
     )
     turn = ", ".join(f"{value:.9g}" for value in jaw_turn(gripper) + 0.0)
     words = (
-        f"origin of link '{gripper.base_link}'; +z approaches, along "
-        f"({join_numbers(gripper.approach_axis)}) of the "
-        f"link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
+        f"origin of link '{gripper.base_link}'; +z approaches, along ({join_numbers(gripper.approach_axis)}) "
+        f"of the link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
     )
-    return metadata.with_axes(axes=words, quaternions=MATRIX_WORDS)
+    return msgspec.structs.replace(metadata, gripper_axes=words, quaternions=MATRIX_WORDS)

@@ -44,7 +44,8 @@ def write_isaac(path: Path, grasps: Grasps, metadata: GraspMetadata) -> None:
         file.write(f"format: {FORMAT}\nformat_version: {VERSION}\n")
         names = {"object_frame": metadata.object, "gripper_frame": metadata.gripper_frame}
         frames = {f"{key}_link": name for key, name in names.items()} | names
-        file.write(yaml_block(frames | {"qdgrasp": metadata.with_axes(quaternions=WXYZ).values}))
+        ours = msgspec.structs.replace(metadata, quaternions=WXYZ)
+        file.write(yaml_block(frames | {"qdgrasp": ours.values}))
         file.writelines(_extra_lines(grasps))
         file.write("grasps:\n")
         file.writelines(_lines(grasps, metadata))

@@ -208,7 +208,6 @@ class NodeInfo(Struct, frozen=True, kw_only=True):
     system: str
     python: str
     packages: dict[str, str]
-    """Versions of packages by name."""
 
     @property
     def words(self) -> str:
@@ -260,7 +259,6 @@ class RegimeRate(Struct, frozen=True, kw_only=True):
     regime: str
     workers: int
     evaluations: int
-    """Evaluations that were counted for it."""
     per_second: float
     """Evaluations in a second of the clock on the wall, of all workers together."""
     per_cpu_second: float
@@ -308,10 +306,8 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
     def run_time_words(self) -> str:
         """Predicted time of a run, in words."""
         times = [f"{duration(time)} if all are {regime}" for regime, time in self.run_seconds.items()]
-        return (
-            f"{RUN_EVALUATIONS:,} evaluations take "
-            f"{', '.join(times)}{'; a search lies between' * (len(times) > 1)}."
-        )
+        between = "; a search lies between" if len(times) > 1 else ""
+        return f"{RUN_EVALUATIONS:,} evaluations take {', '.join(times)}{between}."
 
 
 class NodeFigures(Struct, frozen=True, kw_only=True):

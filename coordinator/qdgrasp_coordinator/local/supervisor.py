@@ -5,7 +5,7 @@ The same processes, commands and messages as on many machines; there is no secon
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -93,9 +93,7 @@ class Supervisor:
             if self._stop.is_set or restarts.is_done or endpoint is None:
                 return
             self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
-            self._listen = replace(
-                self._listen, endpoint=endpoint
-            )  # one that is started again is found there
+            self._listen = replace(self._listen, endpoint=endpoint)  # where a later coordinator is found too
             near = parse_endpoints(endpoint)[0].from_here
             flags = ["--connect", near, "--job", self._folder.name, *self._listen.security_flags]
             recorder = ["--out", str(self._folder.path), "--disk-wait", str(self._config.disk_wait)]
@@ -136,18 +134,9 @@ class Supervisor:
         """Watch processes and show figures until the condition holds or a signal comes."""
         while not (condition() or self._stop.is_set or restarts.is_done):
             restarts.check(time.monotonic())
-            try:
-                self._show(self._news.get(timeout=LOOK_INTERVAL), restarts)
-            except Empty:
-                continue
-
-    def _show(self, news: Sample | None, restarts: RestartPolicy) -> None:
-        if news is None:
-            return
-        try:
-            figures = from_json(news.payload, JobStatus)
-        except MessageError:
-            return
-        self._is_paused = figures.state == "paused"
-        restarts.note_progress(figures)
-        self._display.show(figures)
+            with suppress(Empty, MessageError):
+                if news := self._news.get(timeout=LOOK_INTERVAL):
+                    figures = from_json(news.payload, JobStatus)
+                    self._is_paused = figures.state == "paused"
+                    restarts.note_progress(figures)
+                    self._display.show(figures)

@@ -118,11 +118,6 @@ class Canvas:
         self._clear: list[PixelBox] = []
         self._dots: list[PixelBox] = []
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows."""
-        return self._image.size
-
     def draw_line(self, start: PixelPoint, end: PixelPoint, colour: str, width: float) -> None:
         """Draw a line."""
         self._pen.line(
@@ -272,8 +267,7 @@ def _direction(start: PixelPoint | Floats, end: PixelPoint | Floats) -> Floats:
 
 def transform_points(pose: Pose, points: Floats) -> Floats:
     """Return points (n, 3) of a frame at a pose, in the frame of the pose."""
-    moved: Floats = Rotation.from_quat(pose[3:]).apply(points) + pose[:3]
-    return moved
+    return np.asarray(Rotation.from_quat(pose[3:]).apply(points) + pose[:3])
 
 
 def contact_colour(shot: ReplayFrame, touch: ContactPoint) -> str:

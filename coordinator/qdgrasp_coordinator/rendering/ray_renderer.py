@@ -38,8 +38,7 @@ class ParallelCamera:
 
     def project(self, points: NDArray[np.floating]) -> Floats:
         """Return components of points (n, 3) to the right, up and toward the eye [m]."""
-        turned: Floats = np.asarray(points, np.float32) @ self.axes.T
-        return turned
+        return np.asarray(np.asarray(points, np.float32) @ self.axes.T)
 
     def window(self, points: NDArray[np.floating]) -> PixelIndices:
         """Return the image points in the rectangle around `points` (n, 3), numbered row by row."""
@@ -57,8 +56,7 @@ class ParallelCamera:
         eye[:, 0] = self.low[0] + (column + np.float32(0.5)) * np.float32(self.step)
         eye[:, 1] = self.low[1] + (self.rows - row - np.float32(0.5)) * np.float32(self.step)
         eye[:, 2] = FAR
-        start: Floats = eye @ self.axes
-        return start
+        return np.asarray(eye @ self.axes)
 
 
 MARGIN = 0.015  # Left free on each side, as a share of the image
@@ -162,8 +160,7 @@ def corner_normals(mesh: Mesh) -> Floats:
 def unit_vectors(vectors: NDArray[np.floating]) -> Floats:
     """Scale vectors (n, 3) to length 1; zeros stay."""
     lengths = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
-    units: Floats = np.divide(vectors, np.where(lengths > 0, lengths, 1)).astype(np.float32)
-    return units
+    return np.asarray(np.divide(vectors, np.where(lengths > 0, lengths, 1)).astype(np.float32))
 
 
 LAMPS = 40  # More make softer shadows; each costs a ray for every point that faces it
@@ -200,8 +197,7 @@ def shadowed_light(hits: RayHits, solid: RayMesh, camera: ParallelCamera) -> Flo
 def soft_light(normals: Floats, camera: ParallelCamera) -> Floats:
     """Return the light on what is translucent, by its normals (m, 3): 0 to 1, facing the sun."""
     sun = unit_vectors(np.array([SUN]))[0] @ camera.axes
-    light: Floats = 0.5 + 0.5 * (normals @ sun)
-    return light
+    return np.asarray(0.5 + 0.5 * (normals @ sun))
 
 
 RAYS_PER_PIXEL = 2  # Rays for each pixel of the final image, along each side
@@ -244,8 +240,7 @@ class LayeredImage:
             colour[pixels] = colour[pixels] * (1 - opacity) + paint[:, :3] * opacity
         rows, columns = (n // RAYS_PER_PIXEL for n in (self.camera.rows, self.camera.columns))
         fine = colour.reshape(rows, RAYS_PER_PIXEL, columns, RAYS_PER_PIXEL, 3)
-        averaged: Floats = np.clip(fine.mean(axis=(1, 3)), 0, 1)
-        return averaged
+        return np.asarray(np.clip(fine.mean(axis=(1, 3)), 0, 1))
 
     def _from_back_to_front(self) -> list[tuple[PixelIndices, Floats]]:
         """Return the visible translucent hits, in steps in which no pixel occurs twice."""

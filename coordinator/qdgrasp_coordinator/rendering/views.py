@@ -99,8 +99,7 @@ def _farthest(positions: NDArray[np.floating], approaches: NDArray[np.floating],
 
 
 ELEVATION = np.radians(26.0)
-CLAY = "#f7e6ca"
-"""Colour of the object."""
+CLAY = "#f7e6ca"  # Colour of the object
 FINGER_HUES = (
     "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
 )  # fmt: skip
@@ -130,7 +129,6 @@ class RenderedView:
     camera: ParallelCamera
     """With `RAYS_PER_PIXEL` rays for each pixel, along each side."""
     shown: Rows
-    """The successes that are in it."""
     is_uncut: bool = True
     """True: nothing was left out to show the inside."""
 
@@ -176,8 +174,7 @@ def view_of_cells(
 def hues_of_fitness(best: NDArray[np.number]) -> Floats:
     """Return the colours (n, 3) of cells by their best fitness (n,)."""
     colours = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])
-    hues: Floats = colours[np.clip(best, 0, ROBUST).astype(int)]
-    return hues
+    return np.asarray(colours[np.clip(best, 0, ROBUST).astype(int)])
 
 
 def best_in_cells(successes: Rows) -> Rows:
@@ -210,8 +207,7 @@ class SurfaceDistanceGrid:
     def __call__(self, points: Floats) -> Floats:
         """Return the distance (n,) [m] of points (n, 3)."""
         place = ((points - self.low) / self.STEP).T
-        distance: Floats = map_coordinates(self.grid, place, order=1, mode="nearest", output=np.float32)
-        return distance
+        return np.asarray(map_coordinates(self.grid, place, order=1, mode="nearest", output=np.float32))
 
 
 def _sampled(mesh: Mesh, step: float) -> NDArray[np.float64]:

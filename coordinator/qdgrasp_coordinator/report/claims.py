@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.report.run_groups import RunGroup, SceneName, default_groups, measure_of, value_after
+from qdgrasp_coordinator.report.run_groups import RunGroup, SceneName, default_groups, measure_of
 
 RESAMPLES = 5000
 CONFIDENCE_LEVEL = 0.95
@@ -108,7 +108,6 @@ class ClaimEvidence:
     subject: str
     """The methods, such as `contact_me_scs / contact_rand`."""
     statistic: str
-    """The number's meaning."""
     interval: ConfidenceInterval
     evaluations: tuple[int, ...]
     """Counted evaluations after which it is taken, on each scene."""
@@ -133,7 +132,7 @@ def reached_ratio(scenes: GroupsByScene, *methods: str) -> ClaimEvidence | None:
         measures.append(measure.name)
         after.append(min(run.evaluations for group in pair for run in group.finished_runs))
         for arm, group in zip((upper, lower), pair, strict=True):
-            arm.append(np.array([value_after(run, measure, after[-1]) for run in group.finished_runs]))
+            arm.append(np.array([measure.values(run, after[-1]) for run in group.finished_runs]))
     if not after:
         return None
     statistic = f"ratio of {' and of '.join(dict.fromkeys(measures))}"
@@ -142,29 +141,23 @@ def reached_ratio(scenes: GroupsByScene, *methods: str) -> ClaimEvidence | None:
 
 def late_share(scenes: GroupsByScene, method: str) -> ClaimEvidence | None:
     """Share of what a method reached that the second half of its evaluations added."""
-    chosen = [group for (group,) in _groups_of(scenes, (method,))]
-    if not chosen:
-        return None
-    interval = mean_interval([_late_shares(group) for group in chosen])
-    return ClaimEvidence(method, "share added by the second half", interval, _least_evaluations(chosen))
+    return _mean_evidence(
+        scenes,
+        method,
+        "share added by the second half",
+        lambda groups: mean_interval([*map(_late_shares, groups)]),
+    )
 
 
 def _late_shares(group: RunGroup) -> RunValues:
-    measure = measure_of([group])
-    ends = np.array([value_after(run, measure, run.evaluations) for run in group.finished_runs])
-    halves = np.array([value_after(run, measure, run.evaluations // 2) for run in group.finished_runs])
-    shares: RunValues = 1 - halves[ends > 0] / ends[ends > 0]
-    return shares
+    values, runs = measure_of([group]).values, group.finished_runs
+    ends, halves = (np.array([values(run, run.evaluations // part) for run in runs]) for part in (1, 2))
+    return np.asarray(1 - halves[ends > 0] / ends[ends > 0])
 
 
 def near_nu_share(scenes: GroupsByScene, method: str) -> ClaimEvidence | None:
     """Share of a method's successes with nu below pi / 4."""
-    chosen = [group for (group,) in _groups_of(scenes, (method,))]
-    if not chosen:
-        return None
-    return ClaimEvidence(
-        method, "share of successes with nu < pi/4", near_nu_interval(chosen), _least_evaluations(chosen)
-    )
+    return _mean_evidence(scenes, method, "share of successes with nu < pi/4", near_nu_interval)
 
 
 def near_nu_interval(groups: Sequence[RunGroup]) -> ConfidenceInterval:
@@ -175,15 +168,23 @@ def near_nu_interval(groups: Sequence[RunGroup]) -> ConfidenceInterval:
     return mean_interval([np.array(found, dtype=np.float64) for found in shares])
 
 
+def _mean_evidence(
+    scenes: GroupsByScene,
+    method: str,
+    statistic: str,
+    interval: Callable[[Sequence[RunGroup]], ConfidenceInterval],
+) -> ClaimEvidence | None:
+    """Take a statistic of one method over the scenes that have it; None: no scene has."""
+    groups = [group for (group,) in _groups_of(scenes, (method,))]
+    after = tuple(min(run.evaluations for run in group.finished_runs) for group in groups)
+    return ClaimEvidence(method, statistic, interval(groups), after) if groups else None
+
+
 def _groups_of(scenes: GroupsByScene, methods: tuple[str, ...]) -> Iterator[tuple[RunGroup, ...]]:
     """Yield the groups of these methods on each scene that has them all."""
     for groups in scenes.values():
         if all(method in groups for method in methods):
             yield tuple(groups[method] for method in methods)
-
-
-def _least_evaluations(groups: Sequence[RunGroup]) -> tuple[int, ...]:
-    return tuple(min(run.evaluations for run in group.finished_runs) for group in groups)
 
 
 CLOSE_RATIO = 1.25  # Two methods are close when neither reaches this many times what the other does
@@ -277,16 +278,11 @@ class JudgedClaim:
 def judge_claims(groups: Sequence[RunGroup]) -> list[JudgedClaim]:
     """Hold every claim against the runs at hand."""
     scenes = groups_by_scene(groups)
-    return [
-        JudgedClaim(claim, _evidence(claim, claim.methods, scenes), _evidence(claim, claim.beside, scenes))
-        for claim in CLAIMS
-    ]
 
+    def evidence(claim: PaperClaim, methods: Sequence[tuple[str, ...]]) -> tuple[ClaimEvidence, ...]:
+        return tuple(filter(None, (claim.measure(scenes, *names) for names in methods)))
 
-def _evidence(
-    claim: PaperClaim, methods: Sequence[tuple[str, ...]], scenes: GroupsByScene
-) -> tuple[ClaimEvidence, ...]:
-    return tuple(filter(None, (claim.measure(scenes, *names) for names in methods)))
+    return [JudgedClaim(one, evidence(one, one.methods), evidence(one, one.beside)) for one in CLAIMS]
 
 
 SEARCHES_WITH_PRIOR = ("contact_me_scs", "approach_me_scs")

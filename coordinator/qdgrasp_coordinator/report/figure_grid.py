@@ -3,7 +3,7 @@
 A prior has a hue, a family of searches a line style; sizes are in inches.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -81,11 +81,6 @@ def hue_of(method: str, pale: float = 0.0) -> str:
         part + (1 - part) * PALEST_VARIANT * pale for part in to_rgb(PRIOR_HUES[prior_of(method)])
     )
     return to_hex((red, green, blue))
-
-
-def prior_words(prior: str) -> str:
-    """Return the name of a prior in figures."""
-    return PRIOR_WORDS.get(prior, prior)
 
 
 FIGURE_DPI = 200
@@ -215,8 +210,7 @@ def value_axis(axes: Axes, top: float, *, share: bool, log: bool) -> None:
 
 def short_number(number: float) -> str:
     """Write a number of evaluations in little room: 500, 2k, 10M."""
-    units: Mapping[str, float] = {"M": 1e6, "k": 1e3}
-    for unit, size in units.items():
+    for unit, size in (("M", 1e6), ("k", 1e3)):
         if number >= size:
             return f"{number / size:g}{unit}"
     return f"{number:g}"

@@ -26,6 +26,7 @@ from qdgrasp_coordinator.report.figure_grid import (
     INK,
     PRIOR_HUES,
     PRIOR_ORDER,
+    PRIOR_WORDS,
     Dashes,
     FigureGrid,
     LineStyle,
@@ -37,7 +38,6 @@ from qdgrasp_coordinator.report.figure_grid import (
     panel_heading,
     plain_axes,
     prior_of,
-    prior_words,
     value_axis,
     words_above,
 )
@@ -79,12 +79,8 @@ def draw_curves(shown: Sequence[CurvePanel], *, log: bool = False) -> FigureGrid
     for panel, (row, column) in zip(shown, places, strict=True):
         axes = grid.axes(row, column)
         _set_axes(axes, panel, log)
-        panel_heading(
-            axes,
-            panel.scene.words,
-            measure_words(panel),
-            run_words([one.group for one in panel.curves], size[0]),
-        )
+        runs = run_words([one.group for one in panel.curves], size[0])
+        panel_heading(axes, panel.scene.words, measure_words(panel), runs)
         for one in panel.curves:
             draw_curve(axes, one, drawn[one.group.variant_key])
     grid.title(_curves_title(shown), CURVE_CAPTION)
@@ -103,12 +99,17 @@ def draw_prior_matrix(shown: Sequence[CurvePanel], *, log: bool = False) -> Figu
         for column, prior in enumerate(priors):
             axes = grid.axes(row, column)
             _set_axes(axes, panel, log)
-            _draw_curves_of_prior(axes, panel, prior, drawn)
+            for one in panel.curves:
+                if prior_of(one.group.method) == prior:
+                    draw_curve(axes, one, drawn[one.group.variant_key])
+                else:
+                    axes.plot(one.evaluations, one.median, color=CONTEXT, linewidth=0.8, zorder=1)
             mine = [one.group for one in panel.curves if prior_of(one.group.method) == prior]
             words = (panel.scene.words, measure_words(panel)) if column == 0 else ("", "")
             panel_heading(axes, words[0], words[1], run_words(mine, 2.5) if mine else "not in this campaign")
             if row == 0:
-                words_above(axes, prior_words(prior), 44, size=10.5, weight="bold", color=PRIOR_HUES[prior])
+                heading, hue = PRIOR_WORDS.get(prior, prior), PRIOR_HUES[prior]
+                words_above(axes, heading, 44, size=10.5, weight="bold", color=hue)
     grid.title("Searches with each prior", f"{CURVE_CAPTION} Grey: the other priors.")
     lines = [_legend_line(family, INK, dashes) for family, dashes in FAMILIES.items() if family in families]
     grid.legend(lines, len(lines))
@@ -128,16 +129,6 @@ def draw_curve(axes: Axes, one: QuartileCurve, style: LineStyle) -> None:
             end = one.measure.values(run, run.evaluations)
             axes.plot([run.evaluations], [end], marker="o", markersize=4.5, markerfacecolor="white",
                       color=colour, clip_on=False, zorder=5)  # fmt: skip
-
-
-def _draw_curves_of_prior(
-    axes: Axes, panel: CurvePanel, prior: str, drawn: Mapping[MethodVariant, LineStyle]
-) -> None:
-    for one in panel.curves:
-        if prior_of(one.group.method) == prior:
-            draw_curve(axes, one, drawn[one.group.variant_key])
-        else:
-            axes.plot(one.evaluations, one.median, color=CONTEXT, linewidth=0.8, zorder=1)
 
 
 def _set_axes(axes: Axes, panel: CurvePanel, log: bool) -> None:
@@ -265,8 +256,7 @@ def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
 
 def near_words(lean: NuDistribution) -> str:
     """Describe the share below pi / 4 with its interval."""
-    bound = NU_BOUNDS.get(prior_of(lean.method))
-    if bound:
+    if bound := NU_BOUNDS.get(prior_of(lean.method)):
         return bound
     found = lean.near
     span = f" ({found.low:.0%} to {found.high:.0%})" if found.is_known else " (no interval from one run)"
@@ -282,8 +272,7 @@ def sample_words(lean: NuDistribution) -> str:
     return f"{variant}{counted(lean.runs, 'run')} \u00d7 {ends} evaluations, {scenes}"
 
 
-DEFAULT_DRAWN_METHOD = next(iter(METHODS))
-"""Drawn where it is in a campaign and no other is asked for."""
+DEFAULT_DRAWN_METHOD = next(iter(METHODS))  # Drawn where it is in a campaign and no other is asked for
 VOXEL_COLUMNS, VOXEL_PANEL_INCHES, VOXEL_PIXELS = 4, 3.1, 460
 LEGEND_ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)  # Named in the legend of robust runs
 
@@ -376,8 +365,7 @@ def draw_voxels(shown: Sequence[RunVoxels], method: str) -> FigureGrid:
 
 
 def _hues_of_eta(eta: NDArray[np.float64]) -> Floats:
-    hues: Floats = matplotlib.colormaps["viridis_r"](eta)[:, :3].astype(np.float32)
-    return hues
+    return np.asarray(matplotlib.colormaps["viridis_r"](eta)[:, :3], dtype=np.float32)
 
 
 def _voxel_counts(one: RunVoxels, is_uncut: bool) -> str:

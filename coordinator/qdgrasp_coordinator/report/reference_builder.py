@@ -36,29 +36,14 @@ def build_reference_sets(
     """Add the cells that runs found to the sets in a file, or make a new file.
 
     A cell gets the best fitness found there. Adding a run again changes nothing. The file is replaced as a
-    whole at the end, or left as it was.
+    whole at the end, or left as it was. `name` is the object's in the file (None: that of each run's object,
+    without `ycb_`); `mixed` lets runs under different evaluation protocols go into one set. Returns the sets
+    of the runs' objects, by name, as they are in the file now.
 
-    Parameters
-    ----------
-    name
-        The object's name in the file; None: that of each run's object, without `ycb_`.
-    mixed
-        Whether runs under different evaluation protocols may go into one set.
-
-    Returns
-    -------
-    sets
-        Those of the runs' objects, by name, as they are in the file now.
-
-    Raises
-    ------
-    AssetError
-        The file holds sets that do not say what they were built from.
-    InputError
-        Runs with another gripper, on another object or, unless `mixed`, under another protocol; no run of an
-        object has a success.
-    FolderError
-        A run cannot be read, the file cannot be written, or another process is adding to it.
+    Raises AssetError if the file holds sets that do not say what they were built from; InputError for runs
+    with another gripper, on another object or, unless `mixed`, under another protocol, or if no run of an
+    object has a success; FolderError if a run cannot be read, the file cannot be written, or another process
+    is adding to it.
     """
     output = OutFile(out, force=True)  # what is in it stays in it
     output.check()

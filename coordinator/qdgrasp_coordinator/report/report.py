@@ -78,28 +78,13 @@ class CampaignReport:
 def write_report(
     path: Path, out: Path, *, references: Sequence[Path] = (), method: str | None = None, log: bool = False
 ) -> CampaignReport:
-    """Draw and tabulate a campaign, also while it goes on.
+    """Draw and tabulate a campaign, a folder of runs or one run, also while it goes on.
 
-    Parameters
-    ----------
-    path
-        A campaign's folder, a folder of run folders, or one run's folder.
-    out
-        The folder that is written to: a new one, an empty one, or that of an earlier analysis.
-    references
-        Reference sets that take precedence over the published ones on the asset path.
-    method
-        The method whose cells are drawn; None: the default one, or what found the most cells.
-    log
-        Whether curves are on logarithmic axes.
-
-    Raises
-    ------
-    FolderError
-        There is no run, none has recorded an evaluation or has curves, one cannot be read, or `out` cannot
-        be written.
-    UnknownName
-        No run is of this method; those that there are are named.
+    `out` is a new folder, an empty one, or that of an earlier analysis; `references` are sets that take
+    precedence over the published ones on the asset path; `method` is the one whose cells are drawn (None: the
+    default one, or what found the most cells); `log` makes axes of curves logarithmic. Raises FolderError if
+    there is no run, none has recorded an evaluation or has curves, one cannot be read, or `out` cannot be
+    written, and UnknownName if no run is of this method; it names those that there are.
     """
     folder = SharedFolder(out, is_kind=is_ours)
     folder.check()
@@ -122,8 +107,9 @@ def write_report(
         figures = _draw(begun, made, method, log)
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
-            _write(made / f"{name}.csv", csv_text(rows))
-        _write(made / PAGE_FILE, markdown_page(path.absolute().name, arms, claims, figures, without_curves))
+            (made / f"{name}.csv").write_text(csv_text(rows), encoding="utf-8")
+        page = markdown_page(path.absolute().name, arms, claims, figures, without_curves)
+        (made / PAGE_FILE).write_text(page, encoding="utf-8")
     for name in earlier:  # figures of an earlier analysis that were left out of this one
         for suffix in SUFFIXES if figures[name] else ():
             (out / name).with_suffix(suffix).unlink(missing_ok=True)
@@ -166,12 +152,8 @@ def _draw(begun: Sequence[RunGroup], out: Path, method: str | None, log: bool) -
     for name, (grid, rows) in drawings.items():
         if not isinstance(grid, str):
             grid.write(out / name)
-            _write(out / f"{name}.csv", csv_text(rows))
+            (out / f"{name}.csv").write_text(csv_text(rows), encoding="utf-8")
     return {name: grid if isinstance(grid, str) else "" for name, (grid, _) in drawings.items()}
-
-
-def _write(file: Path, text: str) -> None:
-    file.write_text(text, encoding="utf-8")
 
 
 def is_ours(folder: Path) -> bool:

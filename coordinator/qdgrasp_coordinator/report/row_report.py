@@ -96,7 +96,6 @@ class ReportedPose(Struct, frozen=True, kw_only=True):
     position: tuple[float, ...]
     """x, y, z [m]."""
     quaternion_xyzw: tuple[float, ...]
-    """x, y, z, w."""
 
     @property
     def lines(self) -> list[str]:
@@ -135,16 +134,13 @@ class RowReport(Struct, frozen=True, kw_only=True):
     number: int
     """The row's in the journal, as the view in 3D counts."""
     rows: int
-    """Rows in the journal."""
     generation: int
     index: int
-    """Place in the generation."""
     trial: int
     """0: the nominal evaluation; 1 and up: domain-randomised."""
     outcome: str
     """`Outcome` by its name in lower case."""
     meaning: str
-    """The outcome in words."""
     reason: str
     """Of an error; else empty."""
     fitness: float

@@ -310,11 +310,6 @@ def quartiles(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def value_after(run: RunHistory, measure: CurveMeasure, evaluations: int) -> float:
-    """Return the number of one run after so many evaluations."""
-    return float(measure.values(run, evaluations))
-
-
 LETTERS_PER_INCH = 17  # Of a panel's heading, in an inch
 
 
@@ -339,14 +334,19 @@ class CurvePanel:
 
 def curve_panels(groups: Sequence[RunGroup]) -> list[CurvePanel]:
     """Make the curves of all groups, scene by scene."""
+    return [
+        CurvePanel(scene, measure, tuple(quartile_curve(group, measure) for group in here))
+        for scene, here in scene_groups(groups).items()
+        for measure in [measure_of(here)]
+    ]
+
+
+def scene_groups(groups: Iterable[RunGroup]) -> dict[SceneName, list[RunGroup]]:
+    """Sort groups by scene, in the order of their first occurrence."""
     scenes: dict[SceneName, list[RunGroup]] = {}
     for group in groups:
         scenes.setdefault(group.scene, []).append(group)
-    found = []
-    for scene, here in scenes.items():
-        measure = measure_of(here)
-        found.append(CurvePanel(scene, measure, tuple(quartile_curve(group, measure) for group in here)))
-    return found
+    return scenes
 
 
 def measure_words(panel: CurvePanel) -> str:

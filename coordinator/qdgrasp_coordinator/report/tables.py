@@ -23,6 +23,7 @@ from qdgrasp_coordinator.report.run_groups import (
     SceneName,
     quartile_curve,
     quartiles,
+    scene_groups,
 )
 from qdgrasp_coordinator.report.run_history import NU_BINS, RunHistory
 from qdgrasp_protocol.text import counted, first_few
@@ -239,7 +240,7 @@ def markdown_page(
     without_curves: Sequence[str] = (),
 ) -> str:
     """Write an analysis as a page; `figures` gives the reason why one was left out."""
-    parts = [
+    parts = (
         f"# {name}\n",
         _overview(groups),
         *([f"{left_out_words(without_curves)}\n"] if without_curves else []),
@@ -252,16 +253,14 @@ def markdown_page(
         "entries of fitness 2, by successes of fitness 2. *Counted* says what an evaluation is: compare "
         "methods that count alike, or look at proposals and CPU time.\n",
         *_scenes(groups),
-    ]
+    )
     return "\n".join(parts)
 
 
 def left_out_words(runs: Sequence[str]) -> str:
     """Name the runs of which too little was kept for curves."""
-    verb = "run is" if len(runs) == 1 else "runs are"
-    return (
-        f"{len(runs)} {verb} left out, of which only the successes were kept: {first_few(runs, MOST_NAMED)}."
-    )
+    left_out = counted(len(runs), "run is", "runs are")
+    return f"{left_out} left out, of which only the successes were kept: {first_few(runs, MOST_NAMED)}."
 
 
 def _overview(groups: Sequence[RunGroup]) -> str:
@@ -296,12 +295,9 @@ def _claims(claims: Sequence[JudgedClaim]) -> str:
 
 
 def _verdict(one: JudgedClaim) -> str:
-    lacking = (
-        f" ({one.absent_count} of {len(one.claim.methods)} numbers not in this campaign)"
-        if one.absent_count
-        else ""
-    )
-    return f"**{one.verdict.value}**{FEW_MARK if one.has_few_runs else ''}{lacking if one.evidence else ''}"
+    lacking = f" ({one.absent_count} of {len(one.claim.methods)} numbers not in this campaign)"
+    is_partial = one.absent_count and one.evidence
+    return f"**{one.verdict.value}**{FEW_MARK if one.has_few_runs else ''}{lacking if is_partial else ''}"
 
 
 def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:
@@ -322,33 +318,23 @@ def _number_lines(one: JudgedClaim) -> Iterable[tuple[str, ...]]:
 
 
 def _figure(name: str, missing: str) -> str:
-    if missing:
-        return f"## {name.capitalize()}\n\nNot drawn: {missing}.\n"
-    return f"## {name.capitalize()}\n\n![{name}]({name}.png)\n\n{CAPTIONS[name]}\n"
+    shown = f"Not drawn: {missing}." if missing else f"![{name}]({name}.png)\n\n{CAPTIONS[name]}"
+    return f"## {name.capitalize()}\n\n{shown}\n"
 
 
 def _scenes(groups: Sequence[RunGroup]) -> Iterable[str]:
-    scenes: dict[SceneName, list[RunGroup]] = {}
-    for group in groups:
-        scenes.setdefault(group.scene, []).append(group)
-    for scene, here in scenes.items():
+    for scene, here in scene_groups(groups).items():
         yield f"### {scene.words}\n"
         target = here[0].target
         mark = ", by a stand-in for the scan" if target.stand_in else ""
-        if target.size:
-            yield f"S_G has {target.size:,} entries{mark}.\n"
-        else:
-            yield f"No coverage: {target.why}.\n"
+        yield f"S_G has {target.size:,} entries{mark}.\n" if target.size else f"No coverage: {target.why}.\n"
         yield _methods(here)
 
 
 def _methods(groups: Sequence[RunGroup]) -> str:
     rows = method_rows(groups)
-    shown = [
-        name
-        for name, figure in FIGURES.items()
-        if figure.heading and any(row[name] is not None for row in rows)
-    ]
+    headed = [name for name, figure in FIGURES.items() if figure.heading]
+    shown = [name for name in headed if any(row[name] is not None for row in rows)]
     body = [
         (group.name, _run_counts(group), COUNTED[group.overlaps], *(_quartiles(row, name) for name in shown))
         for group, row in zip(groups, rows, strict=True)

@@ -29,23 +29,19 @@ class DifferentRow(Struct, frozen=True, kw_only=True):
     run: str
     """The run that found it."""
     number: int
-    """Number of the row in the journal."""
     generation: int
     index: int
     trial: int
     columns: dict[str, ComparedValues]
-    """Values of the columns that differ."""
     reason: str
     """Reason of its failure now; empty where it did not fail."""
 
     @property
     def words(self) -> str:
         """One line for a person."""
-        changes = [
-            f"{name} {values.now} instead of {values.recorded}" for name, values in self.columns.items()
-        ]
+        changes = ", ".join(difference_words(self.columns))
         failed = f" ({self.reason})" if self.reason else ""
-        return f"row {self.number} of {self.folder}, trial {self.trial}: {', '.join(changes)}{failed}"
+        return f"row {self.number} of {self.folder}, trial {self.trial}: {changes}{failed}"
 
 
 class PlatformShare(Struct, frozen=True, kw_only=True):
@@ -71,11 +67,9 @@ class VerificationReport(Struct, frozen=True, kw_only=True):
     """Result of evaluating recorded rows again."""
 
     rows: int
-    """Rows that were evaluated again."""
     same: int
     """Of these, equal in every bit of every result."""
     runs: int
-    """Runs that the rows come from."""
     outcomes: dict[str, int]
     """Rows by their recorded outcome."""
     different: list[DifferentRow]
@@ -127,13 +121,18 @@ def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
     return now
 
 
-def difference_words(recorded: np.void, now: np.void) -> list[str]:
-    """Describe what differs, column by column."""
-    return [
-        f"{name} {column_words(now, name)} instead of {column_words(recorded, name)}"
+def row_differences(recorded: np.void, now: np.void) -> dict[str, ComparedValues]:
+    """Return the columns in which two rows differ in any bit, with both values."""
+    return {
+        name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
         for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
         if differs[0]
-    ]
+    }
+
+
+def difference_words(columns: Mapping[str, ComparedValues]) -> list[str]:
+    """Describe what differs, column by column."""
+    return [f"{name} {values.now} instead of {values.recorded}" for name, values in columns.items()]
 
 
 def column_words(row: np.void, column: str) -> str:

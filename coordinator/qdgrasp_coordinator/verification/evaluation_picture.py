@@ -44,7 +44,6 @@ class ReplayCaption:
     title: str
     lines: tuple[str, ...]
     closing_steps: int
-    """Steps in which the hand closed."""
 
     @classmethod
     def of(
@@ -225,7 +224,7 @@ def write_evaluation(shown: ReplayTarget, options: ReplayOptions, out: OutFile, 
         differences, shots = list[str](), replay.answer.shots
         if shown.outcome is not Outcome.DEAD_END:
             now = comparison.row_with_answer(shown.row, replay.answer)
-            differences = comparison.difference_words(shown.row, now)
+            differences = comparison.difference_words(comparison.row_differences(shown.row, now))
         caption = ReplayCaption.of(shown, shots, differences)
         with out.writing() as made:
             write_pictures(made, replay_pictures(replay, shown.scene.gripper, caption, layout), shots)

@@ -52,7 +52,6 @@ class ReplayTarget:
     """A recorded row to replay, with its run and scene."""
 
     number: int
-    """Number of the row in the journal."""
     row: np.void
     """The row in the shape of its own run."""
     found_by: Provenance

@@ -23,12 +23,10 @@ from qdgrasp_coordinator.storage import run_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenances
 from qdgrasp_coordinator.verification.comparison import (
-    ComparedValues,
     DifferentRow,
     PlatformShare,
     VerificationReport,
-    column_words,
-    compare_rows,
+    row_differences,
 )
 from qdgrasp_coordinator.verification.replay_client import in_own_shape
 from qdgrasp_protocol.errors import InputError
@@ -51,8 +49,7 @@ def balanced_sample(kinds: RowKinds, n: int, random: Generator) -> NDArray[np.in
     starts = np.concatenate([[0], np.cumsum(np.bincount(kinds))])
     ranks = np.arange(len(order)) - starts[kinds[order]]
     chosen = order[np.argsort(ranks, kind="stable")[:n]]
-    places: NDArray[np.int64] = np.sort(chosen)
-    return places
+    return np.asarray(np.sort(chosen))
 
 
 MOST_ROWS = 4096  # Rows in a selection
@@ -129,11 +126,7 @@ class ReevaluationQueue:
         """Compare a row with the one at its place in the recorded `rows` (n,), and count it."""
         recorded = rows[place]
         self.outcomes[Outcome(recorded["outcome"])] += 1
-        differences = {
-            name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
-            for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
-            if differs[0]
-        }
+        differences = row_differences(recorded, now)
         if not differences:
             return
         self.columns.update(differences.keys())

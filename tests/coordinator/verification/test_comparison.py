@@ -39,7 +39,7 @@ def test_zeros_of_either_sign_differ(recorded: Rows) -> None:
 def test_what_differs_is_told_column_by_column(recorded: Rows) -> None:
     now = recorded.copy()
     now["outcome"], now["fitness"] = Outcome.DROPPED, 0
-    assert comparison.difference_words(recorded[0], now[0]) == [
+    assert comparison.difference_words(comparison.row_differences(recorded[0], now[0])) == [
         "outcome dropped instead of held",
         "fitness 0.0 instead of 2.0",
     ]
@@ -49,7 +49,7 @@ def test_numbers_are_told_so_that_they_are_told_apart(recorded: Rows) -> None:
     now = recorded.copy()
     now["penetration"] = 0.001
     recorded["penetration"] = np.nextafter(np.float32(0.001), np.float32(1))
-    (words,) = comparison.difference_words(recorded[0], now[0])
+    (words,) = comparison.difference_words(comparison.row_differences(recorded[0], now[0]))
     assert words == "penetration 0.001 instead of 0.0010000002"
 
 
