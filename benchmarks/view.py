@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 from tests import browser
-from tests.coordinator.monitor.web.conftest import free_port, serving
-from tests.coordinator.monitor.web.fakes import FakeFeed, HandMadeRecords, finds
+from tests.coordinator.monitor.web.conftest import FakeFeed, HandMadeRecords, finds, serving
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
@@ -78,7 +77,7 @@ def main() -> None:
     records, feed = HandMadeRecords(made_scene(), run="mug", on_a_page=MOST_SUCCESSES), FakeFeed()
     records.record(archive(cells))
     feed.step()
-    with serving(feed, free_port(), library=RunCaches(records)) as address, browser.launched() as launched:
+    with serving(feed, library=RunCaches(records)) as address, browser.launched() as launched:
         page = launched.new_page(viewport=browser.DESKTOP)
         page.set_default_timeout(browser.PATIENCE)
         found = measured(page, cells, address)

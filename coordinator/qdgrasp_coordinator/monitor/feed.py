@@ -43,14 +43,9 @@ Change = Callable[[JobModels, float], None]
 
 
 class Feed:
-    """The jobs on a bus, kept up to date while its context lasts.
+    """The jobs on a bus, or one of them, kept up to date while its context lasts.
 
-    Parameters
-    ----------
-    bus
-        An open session of a monitor, to be closed by its owner after the feed.
-    job
-        The one job to watch; None: all jobs.
+    `bus` is an open session of a monitor, to be closed by its owner after the feed.
     """
 
     def __init__(self, bus: Bus, job: str | None = None) -> None:

@@ -82,6 +82,14 @@ COUNT_METRICS = (
     MetricSpec("budget", GaugeMetricFamily, unit="evaluations"),
 )
 """Metrics of both jobs and runs."""
+JOB_GAUGES: tuple[tuple[str, str, Callable[[JobView], float], str], ...] = (
+    ("job_epoch", meanings(JobMeta)["epoch"], lambda view: view.meta.epoch, ""),
+    ("job_start_time", meanings(JobMeta)["since"], lambda view: view.meta.since.timestamp(), "seconds"),
+    ("up", "Whether the job's coordinator is heard.", lambda view: view.state not in INACTIVE_STATES, ""),
+    ("job_trouble", "Whether something keeps the job from going on.",
+     lambda view: bool(view.figures.obstacle), ""),
+)  # fmt: skip
+"""Metrics of jobs that are no fields of their figures: name, help, value and unit."""
 JOB = MetricGroup("job", ("job",), JobStatus, (
     *COUNT_METRICS,
     MetricSpec("remaining", GaugeMetricFamily, unit="evaluations"),
@@ -136,18 +144,12 @@ class JobCollector(Collector):
         for view in self._views:
             info.add_metric((view.job,), {"host": view.meta.host, "version": view.meta.version})
         yield info
-        words = meanings(JobMeta)
-        yield self._gauge("job_epoch", words["epoch"], lambda view: view.meta.epoch)
-        yield self._gauge(
-            "job_start_time", words["since"], lambda view: view.meta.since.timestamp(), "seconds"
-        )
+        for name, words, value, unit in JOB_GAUGES:
+            samples = [((view.job,), float(value(view))) for view in self._views]
+            yield metric(GaugeMetricFamily, name, words, ("job",), samples, unit)
 
     def _states(self) -> Iterator[Metric]:
         views, gauge, labels = self._views, GaugeMetricFamily, ("job", "state")
-        words = "Whether the job's coordinator is heard."
-        yield self._gauge("up", words, lambda view: view.state not in INACTIVE_STATES)
-        words = "Whether something keeps the job from going on."
-        yield self._gauge("job_trouble", words, lambda view: bool(view.figures.obstacle))
         states = [((view.job, state), float(view.state == state)) for view in views for state in STATES]
         yield metric(gauge, "job_state", "How the job is: 1 for the state that holds.", labels, states)
         runs = [((view.job, state), float(n)) for view in views for state, n in _run_states(view.figures)]
@@ -173,10 +175,6 @@ class JobCollector(Collector):
         yield metric(GaugeMetricFamily, "workers", words, ("job", "host", "state"), samples)
         shown = [(view.job, each) for view in self._active for each in view.workers[:MOST_WORKERS]]
         yield from WORKER.metrics(((job, each.wid, each.host), each) for job, each in shown)
-
-    def _gauge(self, name: str, words: str, value: Callable[[JobView], float], unit: str = "") -> Metric:
-        samples = [((view.job,), float(value(view))) for view in self._views]
-        return metric(GaugeMetricFamily, name, words, ("job",), samples, unit)
 
 
 def _run_states(job: JobStatus) -> Iterator[tuple[str, int]]:

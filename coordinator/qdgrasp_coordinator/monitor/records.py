@@ -25,10 +25,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.text import printable
 
-COMMANDS = (
-    "qdgrasp show {folder} --grasp {number}",
-    "qdgrasp render {folder} --grasp {number} -o grasp.png",
-)
+COMMANDS = ("qdgrasp show {folder} --grasp {number}", "qdgrasp render {folder} --grasp {number} -o grasp.png")
 """Commands about one row of a run."""
 
 
@@ -72,12 +69,8 @@ class RecordPage:
 class Records(Protocol):
     """Successes and scenes of runs. Its methods may take a while; any thread may call them.
 
-    Raises
-    ------
-    InputError
-        From any method: there is no such job or run, or it cannot be read.
-    BusError, MessageError
-        From any method: there is no answer, or not as agreed.
+    They raise `InputError` where there is no such job or run, or it cannot be read, and `BusError` or
+    `MessageError` where there is no answer, or not as agreed.
     """
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
@@ -236,7 +229,12 @@ class FolderRecords:
 
     def entries(self, job: str) -> RunListings:
         """Count the rows of all journals."""
-        return RunListings(runs=[_listing(*run) for run in self._index.job(job).runs.items()])
+        listings = []
+        for name, folder in self._index.job(job).runs.items():
+            with folder.journal() as journal:
+                found = count_rows(folder.spec, journal.blocks())
+            listings.append(RunListing.of(name, folder.spec, folder.bundle().digest, found))
+        return RunListings(runs=listings)
 
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Count the rows of the journal; a merged or pruned one has no curve."""
@@ -247,9 +245,3 @@ class FolderRecords:
     def place(self, job: str, run: str) -> RunLocation:
         """Return its folder, here."""
         return RunLocation(str(self._index.run(job, run).path.absolute()))
-
-
-def _listing(name: str, folder: RunFolder) -> RunListing:
-    with folder.journal() as journal:
-        found = count_rows(folder.spec, journal.blocks())
-    return RunListing.of(name, folder.spec, folder.bundle().digest, found)

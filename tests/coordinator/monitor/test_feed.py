@@ -59,15 +59,13 @@ def is_whole(views: list[JobView]) -> bool:
     return bool(views) and "a" in views[0].curves and len(views[0].curves["a"].points) == 3
 
 
-def test_a_feed_that_begins_late_knows_all_that_there_is() -> None:
-    network = MemoryNetwork()
+def test_a_feed_that_begins_late_knows_all_that_there_is(network: MemoryNetwork) -> None:
     with coordinator(network.session()), Feed(network.session()) as feed:
         (view,) = until(feed, is_whole)
     assert (view.state, view.meta.epoch, len(view.runs), len(view.workers)) == ("running", 2, 2, 9)
 
 
-def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over() -> None:
-    network = MemoryNetwork()
+def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over(network: MemoryNetwork) -> None:
     with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
         until(feed, is_whole)
         say(bus, MUGS.stat("job"), figures(evaluations=1234))
@@ -78,8 +76,8 @@ def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over() -> Non
     assert feed.views()[0].figures.evaluations == 1234
 
 
-def test_a_feed_of_one_job_hears_and_asks_nothing_of_others() -> None:
-    network, asked = MemoryNetwork(), []
+def test_a_feed_of_one_job_hears_and_asks_nothing_of_others(network: MemoryNetwork) -> None:
+    asked: list[str] = []
     with ExitStack() as stack:
         bus = stack.enter_context(network.session())
         stack.enter_context(coordinator(bus, "cubes", asked=asked))
@@ -93,8 +91,7 @@ def test_a_feed_of_one_job_hears_and_asks_nothing_of_others() -> None:
     assert asked == []
 
 
-def test_a_coordinator_that_goes_and_one_that_comes_are_seen() -> None:
-    network = MemoryNetwork()
+def test_a_coordinator_that_goes_and_one_that_comes_are_seen(network: MemoryNetwork) -> None:
     with network.session() as bus, Feed(network.session()) as feed:
         with coordinator(bus, epoch=2):
             until(feed, is_whole)
@@ -104,8 +101,7 @@ def test_a_coordinator_that_goes_and_one_that_comes_are_seen() -> None:
             assert view.silent < PATIENCE
 
 
-def test_a_feed_survives_that_it_is_cut_off() -> None:
-    network = MemoryNetwork()
+def test_a_feed_survives_that_it_is_cut_off(network: MemoryNetwork) -> None:
     near = network.session()
     with network.session() as bus, Feed(near) as feed, coordinator(bus):
         until(feed, is_whole)
@@ -117,8 +113,7 @@ def test_a_feed_survives_that_it_is_cut_off() -> None:
         until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
 
 
-def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known() -> None:
-    network = MemoryNetwork()
+def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known(network: MemoryNetwork) -> None:
     with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
         until(feed, is_whole)
         for number in range(2 * SUBSCRIBED_KEYS["stat/job"]):
@@ -127,8 +122,8 @@ def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known() -> None:
         until(feed, lambda views: views[0].figures.evaluations == last)
 
 
-def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts() -> None:
-    network, done = MemoryNetwork(), threading.Event()
+def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: MemoryNetwork) -> None:
+    done = threading.Event()
     with network.session() as bus, Feed(network.session()) as feed:
 
         def put() -> None:
@@ -141,8 +136,7 @@ def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts() -> None:
             assert done.wait(PATIENCE)
 
 
-def test_waiting_ends_with_news_and_without_them() -> None:
-    network = MemoryNetwork()
+def test_waiting_ends_with_news_and_without_them(network: MemoryNetwork) -> None:
     with network.session() as bus, Feed(network.session()) as feed:
         while feed.wait(0.5):  # its first questions, which nobody answers
             pass

@@ -39,12 +39,7 @@ def test_whoever_comes_late_sees_all_that_coordinators_answer() -> None:
     more = {MUGS.stat("curve/a"): curve("a", 2, 5, 9), MUGS.recent: JobEvents(events=[event(1), event(2)])}
     answers = values(workers=130) | {key: to_json(value) for key, value in more.items()}
     view = view_of(watching(answers=answers), START)
-    assert (view.job, view.state, view.meta.epoch, view.figures.evaluations) == (
-        "mugs",
-        "running",
-        2,
-        1000,
-    )
+    assert (view.job, view.state, view.meta.epoch, view.figures.evaluations) == ("mugs", "running", 2, 1000)
     assert [one.run for one in view.runs] == ["a", "b"]
     assert len({one.wid for one in view.workers}) == len(view.workers) == 130
     assert [one.number for one in view.events] == [1, 2]
@@ -215,10 +210,7 @@ def test_another_job_of_the_same_name_begins_with_nothing_of_the_old_one() -> No
     assert (view.figures.evaluations, [one.number for one in view.events]) == (0, [60])
     publish(jobs, START + 61, stat_job=figures(evaluations=3), stat_run_a=run("a", evaluations=3))
     view = view_of(jobs, START + 61)
-    assert (view.history.evaluations, [point.evaluations for point in view.curves["a"].points]) == (
-        [3],
-        [3],
-    )
+    assert (view.history.evaluations, [point.evaluations for point in view.curves["a"].points]) == ([3], [3])
 
 
 @pytest.mark.parametrize(
@@ -312,10 +304,7 @@ def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for
     jobs.due_queries(START)
     jobs.receive_answers({MUGS.meta: to_json(meta()), MUGS.stat("job"): to_json(figures())}, START)
     publish(
-        jobs,
-        START,
-        stat_run_new=run("new", evaluations=0),
-        stat_run_resumed=run("resumed", evaluations=70),
+        jobs, START, stat_run_new=run("new", evaluations=0), stat_run_resumed=run("resumed", evaluations=70)
     )
     asked = [MUGS.stat("curve/resumed")]
     assert jobs.due_queries(START) == asked

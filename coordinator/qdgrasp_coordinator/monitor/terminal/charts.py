@@ -104,7 +104,9 @@ def count_lines(view: JobView, width: int, glyphs: Glyphs) -> Lines:
             *([counted(one.trials, "trial", told=count_text)] if one.trials else []),
         )),
     ]  # fmt: skip
-    obstacle = text_line(obstacle_text(view, glyphs), width, glyphs, _obstacle_style(view))
+    is_bad = view.state in ("gone", "silent", "paused") or one.obstacle or not one.recorders
+    style = "bold yellow" if is_bad and view.state not in ("ended", "cancelled") else "dim"
+    obstacle = text_line(obstacle_text(view, glyphs), width, glyphs, style)
     return [*(text_line(line, width, glyphs) for line in lines), obstacle]
 
 
@@ -229,8 +231,3 @@ def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
         f"{counted(one.strays, 'result', told=count_text)} dropped" if one.strays else "",
     ]
     return glyphs.between.join(filter(None, phrases))
-
-
-def _obstacle_style(view: JobView) -> str:
-    is_bad = view.state in ("gone", "silent", "paused") or view.figures.obstacle or not view.figures.recorders
-    return "bold yellow" if is_bad and view.state not in ("ended", "cancelled") else "dim"

@@ -1,6 +1,7 @@
 """Reads keys from a terminal, one at a time."""
 
 import os
+import re
 import select
 import signal
 import sys
@@ -21,20 +22,13 @@ SEQUENCES = {
     b"\x1b[4~": "end", b"\x1b": "escape", b"\t": "tab",
 }  # fmt: skip
 """Bytes that terminals send for keys that are no characters."""
-LONGEST = max(map(len, SEQUENCES))
+KEY = re.compile(b"|".join([*map(re.escape, sorted(SEQUENCES, key=len, reverse=True)), b"[ -~]"]))
+"""One key: the longest sequence that fits, or a printable character."""
 
 
 def parse_keys(data: bytes) -> list[str]:
     """Return the keys in the bytes from a terminal; unknown ones are left out."""
-    found: list[str] = []
-    while data:
-        size = next((size for size in range(LONGEST, 0, -1) if data[:size] in SEQUENCES), 0)
-        if size:
-            found.append(SEQUENCES[data[:size]])
-        elif 0x20 <= data[0] < 0x7F:
-            found.append(chr(data[0]))
-        data = data[size or 1 :]
-    return found
+    return [SEQUENCES.get(key) or key.decode() for key in KEY.findall(data)]
 
 
 class Keyboard:

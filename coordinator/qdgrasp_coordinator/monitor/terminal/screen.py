@@ -5,7 +5,7 @@ A screen has exactly the lines and columns of its terminal. Keys select the job 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from textwrap import wrap
 from typing import Literal
 
@@ -37,8 +37,8 @@ from qdgrasp_protocol.process import Stop
 ListName = Literal["", "runs", "workers", "events"]
 LIST_KEYS: dict[str, ListName] = {"r": "runs", "w": "workers", "e": "events"}
 BACK_KEYS = frozenset({"a", "escape"})
-NEXT_KEYS, PREVIOUS_KEYS = frozenset({"tab", "right"}), frozenset({"backtab", "left"})
 STEP_KEYS = {"up": -1, "down": 1}
+JOB_KEYS = {**STEP_KEYS, "tab": 1, "right": 1, "backtab": -1, "left": -1}
 QUIT_KEYS = frozenset({"q", "Q"})
 
 
@@ -65,8 +65,7 @@ class ScreenSelection:
             return replace(self, top=max(0, self.top + moves[key]))
         if not jobs:
             return self
-        index = self.index(jobs)
-        step = STEP_KEYS.get(key, (key in NEXT_KEYS) - (key in PREVIOUS_KEYS))
+        index, step = self.index(jobs), JOB_KEYS.get(key, 0)
         if key.isdecimal() and key.isascii() and 1 <= int(key) <= len(jobs):
             index = int(key) - 1
         return replace(self, job=jobs[(index + step) % len(jobs)], top=self.top if not step else 0)
@@ -114,7 +113,8 @@ def screen_lines(
     """Return the screen in `height` lines of at most `width` cells."""
     if width < MIN_SIZE[0] or height < MIN_SIZE[1]:
         return [text_line(f"{MIN_SIZE[0]} columns, {MIN_SIZE[1]} lines", width, glyphs)]
-    head, foot = _head(shown, width, glyphs), _foot(choice, width, glyphs)
+    head = _head(shown, width, glyphs)
+    foot = Text(fit_text(f"{KEY_HELP}  a all" if choice.list else KEY_HELP, width, glyphs), style="reverse")
     room = height - len(head) - 1
     body = _body(shown, choice, width, room, glyphs) if shown.views else no_job_lines(shown, width, glyphs)
     filled = [*body[:room], *([Text()] * (room - len(body)))]
@@ -176,10 +176,6 @@ def _job_lines(title: str, view: JobView, width: int, glyphs: Glyphs) -> Lines:
     """Return the progress, counts and outcomes of a job below a title."""
     lines = [_rule(title, width, glyphs), progress_line(view, width, glyphs)]
     return [*lines, *count_lines(view, width, glyphs), *outcome_lines(view, width, glyphs)]
-
-
-def _foot(choice: ScreenSelection, width: int, glyphs: Glyphs) -> Text:
-    return Text(fit_text(f"{KEY_HELP}  a all" if choice.list else KEY_HELP, width, glyphs), style="reverse")
 
 
 def _body(shown: ScreenState, choice: ScreenSelection, width: int, room: int, glyphs: Glyphs) -> Lines:
@@ -339,4 +335,4 @@ def screen_state(feed: Feed, endpoint: str) -> ScreenState:
 
 def local_time() -> datetime:
     """Return the time in the local zone."""
-    return datetime.now(UTC).astimezone()
+    return utc_now().astimezone()

@@ -61,10 +61,7 @@ class Access:
     def at(cls, host: str, token: str = "") -> "Access":
         """Return the rules of a page served at `host`: beyond loopback there is always a token.
 
-        Raises
-        ------
-        ImpossibleValue
-            The token is too short, or of characters that no header may have.
+        One that is too short, or of characters that no header may have, raises `ImpossibleValue`.
         """
         if token and (len(token) < MIN_TOKEN_LENGTH or not PRINTABLE.fullmatch(token)):
             raise ImpossibleValue("the token", "*" * len(token), f"at least {MIN_TOKEN_LENGTH} {CHARACTERS}")

@@ -92,19 +92,9 @@ def application(site: Site, access: Access) -> Starlette:
 def serve(site: Site, host: str, port: int, token: str, stop: Stop, opened: Callable[[str], object]) -> None:
     """Serve a site until this process is asked to stop.
 
-    Parameters
-    ----------
-    token
-        Token that browsers must send; empty: none on loopback, elsewhere a new one.
-    opened
-        Called with the address for a browser, which includes a new token, as soon as the server listens.
-
-    Raises
-    ------
-    EndpointError
-        The address cannot be used.
-    ImpossibleValue
-        The token is too short.
+    Browsers must send `token`; without one there is none on loopback, elsewhere a new one. As soon as the
+    server listens, `opened` is called with the address for a browser, which includes a new token. An address
+    that cannot be used raises `EndpointError`, a token that is too short `ImpossibleValue`.
     """
     access = Access.at(host, token)
     config = uvicorn.Config(

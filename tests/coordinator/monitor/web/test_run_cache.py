@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from tests.common import PATIENCE
-from tests.coordinator.monitor.web.fakes import ORIGIN, HandMadeRecords, finds, random_finds
+from tests.coordinator.monitor.web.conftest import ORIGIN, HandMadeRecords, finds, random_finds
 from tests.coordinator.monitor.web.test_scene_data import in_cells, read
 
 from qdgrasp_assets.scene import Scene

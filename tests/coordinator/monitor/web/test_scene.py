@@ -3,17 +3,27 @@
 import re
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from tests import browser
 from tests.browser import expect
-from tests.common import PATIENCE, free_port
-from tests.coordinator.monitor.web.conftest import serving
-from tests.coordinator.monitor.web.fakes import BUDGET, STEP, FakeFeed, HandMadeRecords, finds, random_finds
+from tests.common import PATIENCE
+from tests.coordinator.monitor.web.conftest import (
+    BUDGET,
+    STEP,
+    FakeFeed,
+    HandMadeRecords,
+    finds,
+    random_finds,
+    serving,
+)
 from tests.coordinator.scenes import made_scene
 
+from qdgrasp_assets.scene import Scene, Synergy
 from qdgrasp_coordinator.monitor.records import JournalId
 from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
 from qdgrasp_protocol.rows import Outcome
@@ -70,12 +80,17 @@ def records() -> HandMadeRecords:
     return made
 
 
+@contextmanager
+def serving_records(records: HandMadeRecords) -> Iterator[str]:
+    feed = FakeFeed().step(time.time() + PATIENCE)  # it stays live however slow the browser is
+    with serving(feed, library=RunCaches(records)) as address:
+        yield f"{address}/#job=mug"
+
+
 @pytest.fixture
 def place(records: HandMadeRecords) -> Iterator[str]:
-    feed = FakeFeed()
-    feed.step(time.time() + PATIENCE)  # it stays live however slow the browser is
-    with serving(feed, free_port(), library=RunCaches(records)) as address:
-        yield f"{address}/#job=mug"
+    with serving_records(records) as found:
+        yield found
 
 
 @pytest.fixture
@@ -114,7 +129,7 @@ def test_what_a_recorder_took_with_it_is_said(chromium: Any, records: HandMadeRe
     feed = FakeFeed()
     feed.steps = BUDGET // STEP
     feed.step(time.time() - 40)
-    with serving(feed, free_port(), library=RunCaches(records)) as address:
+    with serving(feed, library=RunCaches(records)) as address:
         for page in visited(chromium, f"{address}/#job=mug"):
             expect(page.locator("#state")).to_contain_text("ended")
             expect(page.locator("#scene-words")).to_have_text(
@@ -319,3 +334,179 @@ def test_another_view_may_take_over_the_canvas(alone: Page) -> None:
 def _words(records: HandMadeRecords) -> str:
     """What the view says when it has them all."""
     return f"{len(np.unique(records.found['descriptor'], axis=0))} cells of 1 cm"
+
+
+pytestmark = browser.needed
+SCORED_NUMBERS = [2, 3, 5, 8, 9, 12]
+SCORED = finds(
+    SCORED_NUMBERS,
+    [(0, -9, 3), (0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3), (0, 9, -4)],
+    [Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD, Outcome.DROPPED],
+    synergies=[0, 1, 1, 0, 0, 1],
+    etas=[0.9, 0.1, 0.5, 0.4, 0.7, 0.0],
+)
+Page = Any
+
+
+def robust_scene() -> Scene:
+    scene = made_scene()
+    named = tuple(Synergy(name=name, joints=("left",)) for name in ("pinch", "power"))
+    return replace(scene, protocol="robust", gripper=replace(scene.gripper, synergies=named))
+
+
+@pytest.fixture
+def scored() -> HandMadeRecords:
+    made = HandMadeRecords(robust_scene(), run="mug")
+    made.record(SCORED)
+    return made
+
+
+@pytest.fixture
+def filtered(chromium: Any, scored: HandMadeRecords) -> Iterator[Page]:
+    with serving_records(scored) as found:
+        for page in visited(chromium, found):
+            expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+            page.locator("#scene-filters summary").click()
+            yield page
+
+
+def slide(filtered: Page, name: str, to: float) -> None:
+    """Move a handle, as the arrow keys would."""
+    filtered.get_by_label(name).evaluate(
+        "(node, to) => { node.value = to; node.dispatchEvent(new Event('input', { bubbles: true })); }", to
+    )
+
+
+def kinds(filtered: Page) -> Any:
+    """What is expected of the numbers of cells that show each kind, from worst to best."""
+    return expect(filtered.locator("#scene-key li b"))
+
+
+def test_of_each_cell_the_best_grasp_is_shown_at_first(filtered: Page) -> None:
+    kinds(filtered).to_have_text(["1", "1", "3"])
+
+
+def test_a_synergy_shows_the_cells_that_it_grasps_from_with_its_own_best(filtered: Page) -> None:
+    filtered.get_by_label("Synergy").select_option("power")
+    expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
+    kinds(filtered).to_have_text(["2", "0", "1"])
+    filtered.get_by_label("Synergy").select_option("any")
+    expect(filtered.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+
+
+def test_a_kind_that_is_left_out_uncovers_what_else_is_in_its_cells(filtered: Page) -> None:
+    filtered.get_by_role("button", name="both survived").click()
+    expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
+    kinds(filtered).to_have_text(["2", "1", "\N{EN DASH}"])
+
+
+def test_only_grasps_with_the_least_eta_are_shown(filtered: Page) -> None:
+    slide(filtered, "eta at least", 0.5)
+    expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
+    expect(filtered.locator("#scene-filters summary")).to_have_text("Filters 1 in use")
+    slide(filtered, "eta at least", 0.75)
+    expect(filtered.locator("#scene-words")).to_have_text("1 of 5 cells of 1 cm")
+
+
+def test_a_box_shows_what_is_in_it(filtered: Page) -> None:
+    slide(filtered, "y lowest", 1)
+    expect(filtered.locator("#scene-words")).to_have_text("2 of 5 cells of 1 cm")
+    slide(filtered, "z highest", 0)
+    expect(filtered.locator("#scene-words")).to_have_text("1 of 5 cells of 1 cm")
+    expect(filtered.locator("#scene-filters summary")).to_have_text("Filters 2 in use")
+
+
+def test_one_handle_takes_the_other_along_rather_than_go_beyond_it(filtered: Page) -> None:
+    slide(filtered, "x highest", -3)
+    slide(filtered, "x lowest", 5)
+    has_values(filtered, "5", "5")
+    expect(filtered.locator("#scene-words")).to_have_text("0 of 5 cells of 1 cm")
+
+
+def test_two_handles_in_one_place_are_drawn_either_way(filtered: Page) -> None:
+    for name in ("x lowest", "x highest"):
+        slide(filtered, name, 0)
+    drag(filtered, "x highest", -4)
+    has_values(filtered, "-4", "-4")
+    drag(filtered, "x highest", 6)
+    has_values(filtered, "-4", "6")
+
+
+def drag(filtered: Page, name: str, to: float) -> None:
+    """Draw a handle of the axis, from -9 to 9, with the mouse."""
+    handle = filtered.get_by_label(name)
+    handle.scroll_into_view_if_needed()
+    place = handle.bounding_box()
+    height = place["y"] + place["height"] / 2
+    at = [
+        place["x"] + 8 + (value + 9) / 18 * (place["width"] - 16) for value in (int(handle.input_value()), to)
+    ]
+    filtered.mouse.move(at[0], height)
+    filtered.mouse.down()
+    filtered.mouse.move(at[1], height, steps=4)
+    filtered.mouse.up()
+
+
+def has_values(filtered: Page, lowest: str, highest: str) -> None:
+    """Wait until the handles of x are there."""
+    expect(filtered.get_by_label("x lowest")).to_have_value(lowest)
+    expect(filtered.get_by_label("x highest")).to_have_value(highest)
+
+
+def test_show_all_takes_every_filter_back(filtered: Page) -> None:
+    filtered.get_by_label("Synergy").select_option("pinch")
+    slide(filtered, "x lowest", 0)
+    slide(filtered, "eta at least", 0.3)
+    filtered.get_by_role("button", name="Show all").click()
+    expect(filtered.locator("#scene-words")).to_have_text("5 cells of 1 cm")
+    expect(filtered.get_by_label("Synergy")).to_have_value("")
+    expect(filtered.get_by_label("x lowest")).to_have_value("-9")
+    expect(filtered.get_by_role("button", name="Show all")).to_be_disabled()
+
+
+def test_the_next_grasp_is_among_those_that_are_shown_the_best_first(filtered: Page) -> None:
+    filtered.get_by_label("Synergy").select_option("power")
+    for number, synergy in ((5, "power"), (3, "power"), (12, "power"), (5, "power")):
+        filtered.locator("#scene").press("n")
+        expect(filtered.locator("#grasp h4")).to_have_text(f"Grasp {number}")
+        expect(filtered.locator("#grasp")).to_contain_text(synergy)
+
+
+def test_what_is_found_while_one_looks_passes_the_filters_too(
+    filtered: Page, scored: HandMadeRecords
+) -> None:
+    filtered.get_by_label("Synergy").select_option("power")
+    more = finds([20, 21], [(9, 9, 9), (8, 8, 8)], [Outcome.HELD] * 2, synergies=[0, 1], etas=[0.2, 0.2])
+    scored.record(more)
+    expect(filtered.locator("#scene-words")).to_have_text("4 of 7 cells of 1 cm")
+    expect(filtered.get_by_label("y highest")).to_have_attribute("max", "9")
+    expect(filtered.get_by_label("z highest")).to_have_value("9")
+
+
+def test_the_card_says_which_frame_is_meant(filtered: Page) -> None:
+    filtered.locator("#scene").press("n")
+    card = filtered.locator("#grasp")
+    expect(card.locator("h5")).to_have_text("Pose of palm")
+    expect(card).to_contain_text("From the centre of mass [mm]0.0, -90.0, 30.0")
+    expect(card).to_contain_text("eta0.900")
+    names = filtered.locator(".scene-frames .name")
+    expect(names).to_have_text(["object (centre of mass)", "hand (palm)"])
+
+
+def test_frames_may_be_left_out(filtered: Page) -> None:
+    filtered.locator("#scene").press("n")
+    expect(filtered.locator(".scene-frames")).to_be_visible()
+    filtered.locator("#scene").press("f")
+    expect(filtered.locator(".scene-frames")).to_be_hidden()
+    expect(filtered.get_by_role("button", name="Draw the frames")).to_have_attribute("aria-pressed", "false")
+
+
+def test_a_hand_without_synergies_or_eta_has_no_such_filters(chromium: Any) -> None:
+    records = HandMadeRecords(made_scene(), run="mug")
+    records.record(SCORED)
+    with serving_records(records) as found:
+        for page in visited(chromium, found):
+            page.locator("#scene-filters summary").click()
+            expect(page.get_by_label("x lowest")).to_be_visible()
+            expect(page.get_by_label("Synergy")).to_be_hidden()
+            expect(page.get_by_label("eta at least")).to_be_hidden()

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from tests.coordinator.monitor.web.fakes import finds, random_finds
+from tests.coordinator.monitor.web.conftest import finds, random_finds
 
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.scene import Scene

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import re
 import socket
 import subprocess
@@ -11,17 +12,32 @@ import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from http.client import HTTPConnection
 from pathlib import Path
+from socket import gethostname
 from urllib.request import urlopen
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from starlette.testclient import TestClient
 from tests.common import PATIENCE, free_port
-from tests.coordinator.monitor.web.conftest import HERE, client, serving
-from tests.coordinator.monitor.web.fakes import STEP, FakeFeed, FakeLibrary
+from tests.coordinator.monitor.web.conftest import (
+    HERE,
+    STEP,
+    FakeFeed,
+    FakeLibrary,
+    client,
+    serving,
+)
+from tests.coordinator.monitor.web.test_scene_data import read as read_page
+from tests.coordinator.recorded_runs import random_rows, record
 
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.monitor.records import FolderIndex
 from qdgrasp_coordinator.monitor.web import server
-from qdgrasp_coordinator.monitor.web.routes import html
-from qdgrasp_coordinator.monitor.web.server import STATIC
+from qdgrasp_coordinator.monitor.web.access import Access
+from qdgrasp_coordinator.monitor.web.routes import folder_site, html
+from qdgrasp_coordinator.monitor.web.server import STATIC, application
+from qdgrasp_protocol.errors import ImpossibleValue
 
 ROOT = Path(__file__).resolve().parents[4]
 PACKAGE = ROOT / "coordinator" / "qdgrasp_coordinator"
@@ -126,7 +142,7 @@ def test_a_library_that_hangs_keeps_nothing_else_waiting(
 ) -> None:
     over = threading.Event()
     monkeypatch.setattr(FakeLibrary, "runs", lambda *_: b"{}" if over.wait(PATIENCE) else b"")
-    with serving(feed, free_port()) as address, ThreadPoolExecutor(64) as pool:
+    with serving(feed) as address, ThreadPoolExecutor(64) as pool:
         asked = [pool.submit(urlopen, f"{address}/api/jobs/mug/runs", timeout=PATIENCE) for _ in range(64)]
         try:
             for page in ("/", "/metrics", "/api/state", "/static/style.css"):
@@ -239,7 +255,7 @@ def test_a_stream_that_was_asked_for_goes_on(feed: FakeFeed, monkeypatch: pytest
 
     monkeypatch.setattr(server, "FIRST_REQUEST_SECONDS", 0.1)
     monkeypatch.setattr(server.LimitedConnection, "close_if_idle", leave_later)
-    with serving(feed, free_port()) as address:
+    with serving(feed) as address:
         stream = urlopen(f"{address}/api/stream", timeout=PATIENCE)  # noqa: S310 - our own
         assert looked.wait(PATIENCE)
         frames = [line for line in (stream.readline() for _ in range(12)) if line.startswith(b"data: ")]
@@ -282,3 +298,192 @@ def asked(guest: HTTPConnection) -> int:
     answer = guest.getresponse()
     answer.read()
     return answer.status
+
+
+COOKIE = "qdgrasp-monitor-8080"
+TOKEN = "a-token-of-some-length"  # noqa: S105 - it opens nothing
+LOCKED = Access(local=False, token=TOKEN)
+PATHS = ("/", "/api/state", "/metrics", "/static/app.js", "/api/jobs/mug/curves", "/nowhere")
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1:8080", "[::1]:8080", "LOCALHOST:80", "127.8.0.1"])
+def test_a_page_on_loopback_answers_to_the_names_of_this_machine(feed: FakeFeed, host: str) -> None:
+    assert client(feed).get("/", headers={"host": host}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8080", "192.168.0.7", "localhost.evil.example", "", "["]
+)
+def test_a_page_on_loopback_answers_to_no_other_name(feed: FakeFeed, host: str) -> None:
+    for page in PATHS:
+        assert client(feed).get(page, headers={"host": host}).status_code == 421
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT"])
+def test_nothing_can_be_written(feed: FakeFeed, method: str) -> None:
+    for page in PATHS:
+        answer = client(feed).request(method, page)
+        assert (answer.status_code, answer.headers["allow"]) == (405, "GET, HEAD")
+
+
+def test_without_the_token_nothing_is_seen_but_how_the_door_looks(feed: FakeFeed) -> None:
+    strangers = client(feed, LOCKED)
+    assert {strangers.get(page).status_code for page in PATHS} == {401}
+    assert strangers.get("/static/style.css").status_code == 200
+    assert strangers.get("/", headers={"accept": "text/html"}).text.count("<input") == 1
+
+
+@pytest.mark.parametrize("wrong", ["", "a", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "töken"])
+def test_another_token_opens_nothing(feed: FakeFeed, wrong: str) -> None:
+    strangers = client(feed, LOCKED)
+    assert (
+        strangers.get("/api/state", headers={"authorization": f"Bearer {wrong}".encode()}).status_code == 401
+    )
+    assert strangers.get("/api/state", headers={"cookie": f"{COOKIE}={wrong}".encode()}).status_code == 401
+    assert strangers.get("/", params={"token": wrong}).status_code == 401
+
+
+def test_the_token_opens_the_page_in_a_header_or_a_cookie(feed: FakeFeed) -> None:
+    guest = client(feed, LOCKED)
+    assert guest.get("/metrics", headers={"authorization": f"Bearer {TOKEN}"}).status_code == 200
+    assert guest.get("/metrics", headers={"cookie": f"other=1; {COOKIE}={TOKEN}"}).status_code == 200
+
+
+def test_the_token_in_the_address_becomes_a_cookie_that_no_script_and_no_other_page_gets(
+    feed: FakeFeed,
+) -> None:
+    guest = client(feed, LOCKED)
+    entered = guest.get("/", params={"token": TOKEN})
+    assert (entered.status_code, entered.headers["location"]) == (303, "/")
+    cookie = entered.headers["set-cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=lax" in cookie
+    assert guest.get("/api/state").status_code == 200
+
+
+def test_the_cookie_of_another_port_is_another(feed: FakeFeed) -> None:
+    headers = {"cookie": f"{COOKIE}={TOKEN}", "host": "head:9090"}
+    assert client(feed, LOCKED).get("/api/state", headers=headers).status_code == 401
+
+
+def test_the_token_opens_a_page_elsewhere_under_any_name(feed: FakeFeed) -> None:
+    for host in ("head.lab.example:8080", "head", "[2001:db8::1]", "head:port", ""):
+        headers = {"authorization": f"Bearer {TOKEN}", "host": host}
+        assert client(feed, LOCKED).get("/", headers=headers).status_code == 200
+
+
+def test_a_token_can_be_asked_for_on_loopback_too(feed: FakeFeed) -> None:
+    access = Access.at("127.0.0.1", TOKEN)
+    assert client(feed, access).get("/api/state").status_code == 401
+    headers = {"authorization": f"Bearer {TOKEN}", "host": "evil.example"}
+    assert client(feed, access).get("/api/state", headers=headers).status_code == 421
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+def test_on_loopback_there_is_no_token_unless_one_is_given(host: str) -> None:
+    assert Access.at(host) == Access(local=True)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "head", "192.168.0.7"])  # noqa: S104
+def test_elsewhere_there_is_always_a_token_and_each_time_another_one(host: str) -> None:
+    made = {Access.at(host).token for _ in range(5)}
+    assert len(made) == 5
+    assert min(map(len, made)) >= 32
+
+
+def test_a_short_token_is_refused_and_not_repeated() -> None:
+    with pytest.raises(ImpossibleValue, match="at least 16 characters") as refusal:
+        Access.at("127.0.0.1", "secret")
+    assert "secret" not in str(refusal.value)
+
+
+def test_the_address_says_where_the_page_is() -> None:
+    assert Access.at("127.0.0.1").address("127.0.0.1", 8080) == "http://127.0.0.1:8080/"
+    assert Access.at("::1").address("::1", 8080) == "http://[::1]:8080/"
+    assert gethostname() in Access.at("::").address("::", 80)
+    made = Access.at("head")
+    assert made.address("head", 80) == f"http://head:80/?token={made.token}"
+
+
+def test_a_token_that_somebody_chose_is_not_told() -> None:
+    assert Access.at("head", TOKEN).address("head", 80) == "http://head:80/"
+
+
+@pytest.mark.parametrize(
+    "token", ["a-tóken-of-some-length", "令牌" * 10, "a token of some length", TOKEN + "\n"]
+)
+def test_a_token_that_no_header_can_hold_is_refused(token: str) -> None:
+    with pytest.raises(ImpossibleValue, match="ASCII without spaces") as refusal:
+        Access.at("head", token)
+    assert token not in str(refusal.value)
+
+
+def test_every_answer_has_the_headers_that_keep_a_browser_safe(feed: FakeFeed) -> None:
+    for guest in (client(feed), client(feed, LOCKED)):
+        for answer in (
+            *map(guest.get, PATHS),
+            guest.post("/"),
+            guest.get("/", headers={"host": "evil.example"}),
+        ):
+            policy = answer.headers["content-security-policy"]
+            assert "default-src 'none'" in policy
+            assert "unsafe" not in policy
+            assert answer.headers["x-content-type-options"] == "nosniff"
+            assert answer.headers["referrer-policy"] == "no-referrer"
+            assert "access-control-allow-origin" not in answer.headers
+
+
+ROWS = random_rows(60)
+
+
+def folder_client(*paths: Path) -> TestClient:
+    app = application(folder_site(FolderIndex(paths)), Access(local=True))
+    return TestClient(app, base_url="http://localhost:8080", raise_server_exceptions=False)
+
+
+@pytest.fixture
+def path(tmp_path: Path, make_scene) -> Path:
+    return record(tmp_path / "mug", make_scene(), ROWS).path
+
+
+def test_it_lists_jobs_and_their_runs(path: Path) -> None:
+    assert folder_client(path).get("/api/jobs").json() == [
+        {"job": "mug", "folder": str(path), "runs": ["run"]}
+    ]
+
+
+def test_the_cells_are_those_of_all_successes(path: Path) -> None:
+    answer = folder_client(path).get("/api/jobs/mug/runs/run/cells")
+    places = {place for place, _, _ in read_page(answer.content)[2]}
+    assert places == {tuple(place) for place in cells(successes(ROWS)["descriptor"]).tolist()}
+
+
+def test_a_grasp_is_told_with_its_frames_and_commands(path: Path) -> None:
+    number = int((ROWS["outcome"] >= 5).argmax())
+    told = folder_client(path).get(f"/api/jobs/mug/runs/run/grasps/{number}").json()
+    assert told["base"] == "palm"
+    assert told["commands"] == [
+        f"qdgrasp show {path} --grasp {number}",
+        f"qdgrasp render {path} --grasp {number} -o grasp.png",
+    ]
+
+
+def test_what_is_not_there_is_said(path: Path) -> None:
+    answer = folder_client(path).get("/api/jobs/mug/runs/rum/scene")
+    assert answer.status_code == 404
+    assert answer.json()["error"].startswith("Unknown run 'rum'.")
+    assert folder_client(path).get("/api/state").status_code == 404
+
+
+def test_a_folder_whose_name_is_no_text_breaks_nothing(tmp_path: Path, make_scene) -> None:
+    path = record(tmp_path / "mug", make_scene(), ROWS).path
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/m\xffug"))
+    path.rename(odd)
+    number = int((ROWS["outcome"] >= 5).argmax())
+    assert folder_client(odd).get("/api/jobs").json()[0]["folder"].endswith(r"m\udcffug")
+    command = folder_client(odd).get(f"/api/jobs/mug/runs/run/grasps/{number}").json()["commands"][0]
+    assert command.endswith(f"--grasp {number}")
+    (odd / "scene.bundle").unlink()
+    sorry = folder_client(odd).get("/api/jobs/mug/runs/run/scene")
+    assert sorry.status_code == 404
+    assert r"m\udcffug" in sorry.json()["error"]
