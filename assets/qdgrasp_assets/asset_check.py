@@ -29,7 +29,6 @@ class AssetSummary:
     name: str
     facts: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
-    """Faults in words; empty if there are no faults."""
 
 
 def check(name: str) -> AssetSummary:
@@ -59,7 +58,7 @@ def _check(name: str) -> AssetSummary:
     if path_problem(named_path(name)) != NOT_THERE:
         draft = read_draft(named_path(name))
         report = inspect_object(draft, name, glued=True, parts=False)
-        hulls = () if report.faults else (_known_hulls(draft.mesh),)
+        hulls = () if report.faults else (_hulls_in_words(available_parts(draft.mesh)),)
         return AssetSummary(name, report.facts + hulls, report.faults)
     known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
     raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
@@ -77,7 +76,7 @@ def _check_scan(name: str) -> AssetSummary:
     file = fetched_mesh(name)
     mesh = correct_mesh(read_mesh(file), scan)
     known, found = read_pin(scan.archive).mesh_sha256, hashlib.sha256(file.read_bytes()).hexdigest()
-    facts = _known_hulls(mesh), f"sha256 {found}" + ("" if known else " (none is known)")
+    facts = _hulls_in_words(available_parts(mesh)), f"sha256 {found}" + ("" if known else " (none is known)")
     faults = list(scan_differences(mesh, scan))
     if known is not None and known != found:
         faults.append(f"its file '{file}' has sha256 {found} instead of {known}; fetch it again")
@@ -90,13 +89,10 @@ def _mesh_summary(name: str, mesh: Mesh, facts: Iterable[str], faults: Iterable[
     return AssetSummary(name, (*size, volume, *facts), (*surface_faults(mesh), *faults))
 
 
-def _known_hulls(mesh: Mesh) -> str:
-    parts = available_parts(mesh)
-    return "convex parts not found yet: CoACD will, at first use" if parts is None else _hulls_in_words(parts)
-
-
-def _hulls_in_words(parts: tuple[Mesh, ...]) -> str:
-    return f"{len(parts)} convex part{'s' if len(parts) > 1 else ''}"
+def _hulls_in_words(parts: tuple[Mesh, ...] | None) -> str:
+    if parts is None:
+        return "convex parts not found yet: CoACD will, at first use"
+    return counted(len(parts), "convex part")
 
 
 def examine_gripper(name: str) -> GripperReport:

@@ -60,8 +60,7 @@ class AssetReport(Struct, frozen=True, kw_only=True):
 
 
 WATER = 1000.0  # Density of water [kg/m3]
-LIGHTEST, HEAVIEST = 20.0, 12_000.0
-"""Plausible densities of an object: foam to lead [kg/m3]."""
+LIGHTEST, HEAVIEST = 20.0, 12_000.0  # Plausible densities of an object: foam to lead [kg/m3]
 ROUNDING = 1e-9
 MANY_TRIANGLES = 100_000
 """Triangles above which decomposition takes minutes; half as many take 14 s of one core."""
@@ -116,7 +115,6 @@ class ObjectReport(AssetReport, frozen=True, kw_only=True):
     convex: ConvexPartsReport | None = None
     """None also if they were not asked for."""
     repairs: tuple[str, ...] = ()
-    """Repairs that were made before the measurements."""
 
     @property
     def facts(self) -> tuple[str, ...]:
@@ -133,12 +131,13 @@ class ObjectReport(AssetReport, frozen=True, kw_only=True):
         yield "bodies", f"{self.bodies}" + (f", with {self.hollows} hollow within" if self.hollows else "")
         if self.volume is not None and self.centre_of_mass is not None:
             yield "volume", f"{self.volume * 1e6:.2f} cm3"
-            mass = "not said" if self.mass is None else f"{self.mass:g} kg, {self.density:.0f} kg/m3"
-            yield "mass", mass
-            yield "centre of mass", f"{_numbers(self.centre_of_mass)} m, frame of the mesh file"
+            yield "mass", "not said" if self.mass is None else f"{self.mass:g} kg, {self.density:.0f} kg/m3"
+            centre = " ".join(f"{round(value, 4) + 0.0:.4f}" for value in self.centre_of_mass)
+            yield "centre of mass", f"{centre} m, frame of the mesh file"
+            words = " kg m2, about the centre of mass, solid throughout"
             for turn, row in enumerate(self.inertia or ()):
-                words = "kg m2, about the centre of mass, solid throughout"
-                yield "" if turn else "inertia", f"{_small(row)} {'' if turn else words}".rstrip()
+                numbers = " ".join(f"{value:10.3e}" for value in row)
+                yield ("", numbers) if turn else ("inertia", numbers + words)
             yield "surface points", f"{self.surface_points}"
             yield "convex parts", self.convex.words if self.convex else "not looked for"
         repairs = self.repairs or (() if self.faults else ("nothing had to be",))
@@ -182,14 +181,14 @@ def inspect_object(
     if found.faults:
         return msgspec.structs.replace(found, notes=tuple(notes))
     density = None if mass is None else mass / mesh.volume
-    inertia = None if mass is None else _without_rounding(mass * mesh.inertia)
+    rows = () if mass is None else _without_rounding(mass * mesh.inertia)
     found = msgspec.structs.replace(
         found,
         volume=mesh.volume,
         mass=mass,
         density=density,
         centre_of_mass=vector(_without_rounding(mesh.centre_of_mass)),
-        inertia=None if inertia is None else tuple(vector(row) for row in inertia),
+        inertia=None if mass is None else tuple(vector(row) for row in rows),
         surface_points=int(POINTS_PER_METRE * np.linalg.norm(mesh.extents)),
         notes=(*notes, *_solid_notes(found, mesh, density)),
     )
@@ -233,14 +232,6 @@ def _solid_notes(found: ObjectReport, mesh: Mesh, density: float | None) -> Iter
 def _without_rounding(values: Floats) -> Floats:
     """Return the matrix with zeros for values that are rounding beside the largest."""
     return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
-
-
-def _numbers(values: Vector) -> str:
-    return " ".join(f"{round(value, 4) + 0.0:.4f}" for value in values)
-
-
-def _small(values: Vector) -> str:
-    return " ".join(f"{value:10.3e}" for value in values)
 
 
 NO_OVERRIDES = DraftOverrides()
@@ -350,15 +341,7 @@ def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
     hand = HandPostures(file, body)
     corners = body.corners(body.parts, hand.posture(0.0))
     faults = posture_faults(file, body)
-    notes = [] if faults else [*posture_notes(file, body)]
-    if not faults and (
-        hollow := [f"{each.link} {100 * each.filled:.0f} %" for each in hollow_meshes(body.robot)]
-    ):
-        notes.append(
-            "the simulator wraps each collision mesh in its convex hull, which fills the room before "
-            f"much of the surface of {', '.join(hollow)}: "
-            "`qdgrasp gripper new --mend` splits such meshes into convex parts"
-        )
+    notes = () if faults else (*posture_notes(file, body), *_hollow_notes(body.robot))
     return GripperReport(
         name=name,
         urdf=str(body.robot.path),
@@ -372,9 +355,18 @@ def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
         mass=body.robot.mass,
         extents=vector(np.ptp(corners, axis=0)) if len(corners) else (0.0, 0.0, 0.0),
         parts=sum(map(len, body.parts.values())),
-        notes=tuple(notes),
+        notes=notes,
         faults=faults,
     )
+
+
+def _hollow_notes(hand: Urdf) -> Iterator[str]:
+    if hollow := ", ".join(f"{link} {100 * filled:.0f} %" for link, filled in hollow_meshes(hand)):
+        yield (
+            "the simulator wraps each collision mesh in its convex hull, which fills the room before "
+            f"much of the surface of {hollow}: "
+            "`qdgrasp gripper new --mend` splits such meshes into convex parts"
+        )
 
 
 def _one_line(error: Exception) -> str:

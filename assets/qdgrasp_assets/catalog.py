@@ -60,10 +60,7 @@ def build_scene(spec: RunSpec) -> Scene:
 
 
 def find_gripper(name: str) -> Gripper:
-    """Return the gripper of this name or TOML file; errors as of `build_scene`.
-
-    Reference hands keep the masses that their authors left to the simulator.
-    """
+    """Return the gripper of this name or file; errors of `build_scene`; masses as published."""
     path = gripper_path(name)
     if path.parent == GRIPPERS:
         return read_gripper(path, name, _gripper_source(name))
@@ -110,10 +107,7 @@ def _find_target(spec: RunSpec) -> ObjectModel:
 
 
 def check_object(name: str) -> None:
-    """Check that a name is an object's: a stand-in, a scan that is there, or a file.
-
-    Raises `UnknownName` if it is none of these, `AssetError` for a scan that is not there, or a folder.
-    """
+    """Check that a name is a stand-in, a scan or file that is there; errors of `build_scene`."""
     path = named_path(name)
     if name in ycb.SCAN_NAMES:
         ycb.check_there(name)

@@ -118,4 +118,3 @@ PRIOR_GENES: dict[str, Callable[[Scene], Genes]] = {
     "contact": lambda scene: _cone(scene, np.pi),  # approach with nu_a = pi (Huber et al. 2024, III-A)
     "spherical": _spherical,
 }
-"""The prior's own genes, by prior."""

@@ -28,7 +28,6 @@ class ObjectDraft:
     geometries: int
     """Number of the file's geometries, which are one object."""
     repairs: tuple[str, ...]
-    """Repairs that were made, in words."""
     faults: tuple[str, ...]
     """Faults that are left, in words; empty where it can be used."""
 

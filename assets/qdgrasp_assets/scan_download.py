@@ -42,10 +42,7 @@ TAR_HEADER = 512  # bytes of a header
 
 
 def read_member(archive: Path, member: str) -> bytes:
-    """Return the content of the file `member` of a `.tgz`.
-
-    Raises `AssetError` if it is not in it, no file or too large, or the archive is none or broken.
-    """
+    """Return the file `member` of a `.tgz`; `AssetError` if missing, too large or broken."""
     unpacked = 0
     try:
         with tarfile.open(archive, mode="r|gz") as tar:
@@ -130,7 +127,9 @@ def _continue_download(url: str, part: Path, progress: Progress, patience: float
             )
         if start and start == total:
             return
-        _write_etag(part, response.headers.get("ETag"))
+        _etag_file(part).unlink(missing_ok=True)
+        if (etag := response.headers.get("ETag", "")) and not etag.startswith("W/"):
+            _etag_file(part).write_text(etag, encoding="utf-8")
         with part.open("r+b" if start else "wb") as file:
             file.seek(start)
             here = start
@@ -220,13 +219,6 @@ def _etag_file(part: Path) -> Path:
     return part.with_name(part.name + ".etag")
 
 
-def _write_etag(part: Path, etag: str | None) -> None:
-    if etag and not etag.startswith("W/"):
-        _etag_file(part).write_text(etag, encoding="utf-8")
-    else:
-        _etag_file(part).unlink(missing_ok=True)
-
-
 YCB_HOME = "https://ycb-benchmarks.s3.amazonaws.com"  # The public bucket of the YCB Object and Model Set
 YCB_TERMS = (
     "The scans are of the YCB Object and Model Set (Calli, Singh, Walsman, Srinivasa, Abbeel and Dollar "
@@ -241,7 +233,6 @@ class FetchedScan:
     name: str
     mesh: Path
     pin: ArchivePin
-    """Size and hashes of its archive."""
     lock: Path | None
     """User's lock file, if the hash was not known before and was written there."""
 

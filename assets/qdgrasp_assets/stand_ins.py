@@ -133,19 +133,7 @@ BOWL_PROFILE = np.array(
     ]
 )
 """(10, 2): radius and height, upward outside and downward inside."""
-BOWL_RINGS = (
-    np.array([_bowl_inside(BOWL_LOW), BOWL_LOW, BOWL_BEND, _bowl_inside(BOWL_BEND)]),
-    np.array([_bowl_inside(BOWL_BEND), BOWL_BEND, BOWL_HIGH, _bowl_inside(BOWL_HIGH)]),
-    np.array(
-        [
-            _bowl_inside(BOWL_HIGH),
-            BOWL_HIGH,
-            (BOWL_RIM, BOWL_RIM_EDGE),
-            (BOWL_RIM, BOWL_HEIGHT),
-            (BOWL_HIGH[0] - BOWL_WALL, BOWL_HEIGHT),
-        ]
-    ),
-)
+BOWL_RINGS = tuple(BOWL_PROFILE[rows] for rows in ([9, 1, 2, 8], [8, 2, 3, 7], [7, 3, 4, 5, 6]))
 """Convex pieces of the wall's cross-section, (n, 2) radius and height."""
 
 
@@ -167,8 +155,7 @@ def chips_can() -> tuple[Mesh, tuple[Mesh, ...]]:
         (CAN_HEIGHT - CAN_BEVEL, CAN_RADIUS),
         (CAN_HEIGHT, CAN_EDGE),
     )
-    solid = hull(np.concatenate(stack((z, 0.0, 0.0, radius, radius, 2.0) for z, radius in rings)))
-    return solid, (solid,)
+    return _convex(hull(np.concatenate(stack((z, 0.0, 0.0, radius, radius, 2.0) for z, radius in rings))))
 
 
 MUG_SIDES = 20  # facets around the cup
@@ -192,8 +179,7 @@ MUG_PROFILE = np.array(
     ]
 )
 """(9, 2): radius and height of the cup's rings, upward outside and downward inside."""
-MUG_LOWER_ROW, MUG_UPPER_ROW = 2, 4
-"""The rows of `MUG_PROFILE` that hold windows."""
+MUG_LOWER_ROW, MUG_UPPER_ROW = 2, 4  # The rows of `MUG_PROFILE` that hold windows
 
 HANDLE_PATH = np.column_stack(
     [
@@ -346,8 +332,7 @@ def spatula() -> tuple[Mesh, tuple[Mesh, ...]]:
 
 
 LICENCE = "Apache-2.0"
-SurfaceAndParts = tuple[Mesh, tuple[Mesh, ...]]
-"""A surface and the convex parts that enclose the same space."""
+SurfaceAndParts = tuple[Mesh, tuple[Mesh, ...]]  # A surface and the convex parts that enclose the same space
 
 
 @dataclass(frozen=True)
@@ -366,12 +351,8 @@ class StandIn:
     """Rotation about z [deg]."""
 
 
-def _box_with_parts(x: float, y: float, z: float) -> Callable[[], SurfaceAndParts]:
-    def build() -> SurfaceAndParts:
-        solid = box((x, y, z))
-        return solid, (solid,)
-
-    return build
+def _convex(solid: Mesh) -> SurfaceAndParts:
+    return solid, (solid,)
 
 
 def _tennis_ball() -> SurfaceAndParts:
@@ -391,10 +372,10 @@ STAND_INS = {
     "bleach_cleanser": StandIn(1.131, (-0.017801, 0.011582, 0.100397), bleach_cleanser, ORIGIN),
     "bowl": StandIn(0.147, (-0.014691, -0.044719, 0.025943), bowl, (-0.0148, -0.0437, -0.0005), turn=9.0),
     "chips_can": StandIn(0.205, (-0.006005, 0.011113, 0.122552), chips_can, (-0.0060, 0.0111, -0.0019)),
-    "cracker_box": StandIn(0.411, CRACKER_BOX, _box_with_parts(0.060, 0.160, 0.230), CRACKER_BOX),
+    "cracker_box": StandIn(0.411, CRACKER_BOX, lambda: _convex(box((0.060, 0.160, 0.230))), CRACKER_BOX),
     "mug": StandIn(0.118, (-0.018190, 0.017067, 0.029618), mug, (-0.0207, 0.0174, -0.0005), turn=-2.5),
     "power_drill": StandIn(0.895, (-0.000146, 0.014914, 0.044118), power_drill, ORIGIN, turn=-57.0),
-    "rubiks_cube": StandIn(0.094, RUBIKS_CUBE, _box_with_parts(0.057, 0.057, 0.057), RUBIKS_CUBE, turn=27.0),
+    "rubiks_cube": StandIn(0.094, RUBIKS_CUBE, lambda: _convex(box((0.057,) * 3)), RUBIKS_CUBE, turn=27.0),
     "spatula": StandIn(0.0515, (-0.034109, -0.081907, 0.013496), spatula, ORIGIN, turn=-13.5),
     "tennis_ball": StandIn(0.058, TENNIS_BALL, _tennis_ball, TENNIS_BALL),
 }

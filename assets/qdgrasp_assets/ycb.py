@@ -18,7 +18,7 @@ from msgspec import Struct, ValidationError, convert
 
 from qdgrasp_assets.asset_paths import data_folder, on_asset_path, searched
 from qdgrasp_assets.geometry.collision_parts import collision_parts
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, read_parts
+from qdgrasp_assets.geometry.mesh import Mesh, read_parts
 from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.object_model import ObjectModel, read_solid
 from qdgrasp_assets.stand_ins import STAND_INS
@@ -63,7 +63,9 @@ def read_fetched(name: str) -> Mesh:
 
 def correct_mesh(mesh: Mesh, scan: Scan) -> Mesh:
     """Correct a mesh: in metres, without folded triangles, wound outward, moved into place."""
-    mesh = drop_folded(_in_metres(mesh, np.array(scan.extents)))
+    if np.isclose(mesh.extents.max() / max(scan.extents), MILLIMETRES, rtol=0.02):
+        mesh = Mesh(mesh.vertices / MILLIMETRES, mesh.faces)
+    mesh = drop_folded(mesh)
     if mesh.volume < 0:
         mesh = mesh.flipped()
     off = np.array(scan.low) - mesh.bounds[0]
@@ -75,8 +77,7 @@ def scan_differences(mesh: Mesh, scan: Scan) -> tuple[str, ...]:
     found = []
     if not np.allclose(mesh.extents, scan.extents, rtol=0, atol=EXTENTS_TOLERANCE):
         found.append(
-            f"it is {lengths_in_words(mesh.extents)} m large instead of "
-            f"{lengths_in_words(np.array(scan.extents))} m"
+            f"it is {lengths_in_words(mesh.extents)} m large instead of {lengths_in_words(scan.extents)} m"
         )
     if not np.isclose(mesh.volume, scan.volume, rtol=VOLUME_TOLERANCE, atol=0):
         found.append(f"it encloses {mesh.volume * 1e6:.2f} cm3 instead of {scan.volume * 1e6:.2f} cm3")
@@ -104,12 +105,6 @@ def drop_folded(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices, faces[odd & is_first])
 
 
-def _in_metres(mesh: Mesh, expected: Floats) -> Mesh:
-    if np.isclose(mesh.extents.max() / expected.max(), MILLIMETRES, rtol=0.02):
-        return Mesh(mesh.vertices / MILLIMETRES, mesh.faces)
-    return mesh
-
-
 BUILT_IN_LOCK = Path(__file__).parent / "lock.toml"
 
 
@@ -124,11 +119,8 @@ class ArchivePin(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=
 
     def difference(self, other: "ArchivePin") -> str | None:
         """Describe the first difference from `other`; unknown values are not compared."""
-        for field, words in (
-            ("size", "{} bytes"),
-            ("sha256", "sha256 {}"),
-            ("mesh_sha256", "mesh sha256 {}"),
-        ):
+        kinds = {"size": "{} bytes", "sha256": "sha256 {}", "mesh_sha256": "mesh sha256 {}"}
+        for field, words in kinds.items():
             known, other_value = getattr(self, field), getattr(other, field)
             if None not in (known, other_value) and known != other_value:
                 return f"expected {words.format(known)}, got {words.format(other_value)}"
@@ -141,10 +133,7 @@ def users_lock() -> Path:
 
 
 def read_pin(archive: str) -> ArchivePin:
-    """Return the pin of an archive: this package's, else that of the user's earlier fetch.
-
-    Raises `AssetError` if the user's lock file cannot be read.
-    """
+    """Return an archive's pin: ours, else the user's; `AssetError` for a broken lock file."""
     return {**_read_lock(users_lock()), **_read_lock(BUILT_IN_LOCK)}.get(archive, ArchivePin())
 
 

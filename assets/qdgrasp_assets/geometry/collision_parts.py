@@ -109,11 +109,6 @@ def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
     return within
 
 
-def _digest_line(content: bytes) -> bytes:
-    """Return the last line of a cached file: the digest of the lines before."""
-    return f"# sha256 {hashlib.sha256(content).hexdigest()}\n".encode()
-
-
 CORNER_TOLERANCE = 5e-4  # A corner that is not farther outside the hull of others is left out [m]
 MOST_CORNERS = 128  # Most corners of a part
 COACD_ITERATIONS = 50
@@ -145,11 +140,10 @@ def decompose(mesh: Mesh, name: str, threshold: float, time_limit: float) -> tup
         given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
         np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
         command = [sys.executable, "-m", __spec__.name, str(given), str(threshold), str(found)]
+        pipe, null = subprocess.PIPE, subprocess.DEVNULL
         with (
             tempfile.TemporaryFile() as errors,  # not a pipe, which would fill while it is not read
-            subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors
-            ) as process,
+            subprocess.Popen(command, stdin=pipe, stdout=null, stderr=errors) as process,
         ):
             try:
                 process.wait(max(0.0, time_limit))
@@ -234,20 +228,11 @@ def collision_parts(
 ) -> tuple[str, tuple[Mesh, ...]]:
     """Return the source, "own hull" or "coacd", and the convex parts that stand for a mesh.
 
-    They are in the mesh's frame, and deterministic. Where no parts fit, or time runs out, the finest that
-    were found are taken, with a warning. Those for which time ran out are not kept on disk. Raises
-    `AssetError` if CoACD failed, or found nothing in time; or the parts cannot be kept.
-
-    Parameters
-    ----------
-    mesh
-        A closed surface [m]; one or several bodies.
-    name
-        Name of the mesh in errors and progress messages.
-    time_limit
-        Time limit for CoACD [s].
-    tell
-        Called with a sentence before each attempt.
+    `mesh` is a closed surface [m], one or several bodies, called `name` in messages. The parts are in its
+    frame, and deterministic. Where none fit, or CoACD's `time_limit` [s] runs out, the finest that were found
+    are taken, with a warning; those for which time ran out are not kept on disk. `tell` is called with a
+    sentence before each attempt. Raises `AssetError` if CoACD failed, or found nothing in time; or the parts
+    cannot be kept.
     """
     known = _known_parts(mesh)
     if known is not None:
@@ -334,6 +319,11 @@ def _keeping(folder: Path, name: str) -> Iterator[None]:
         ) from None
 
 
+def _digest_line(content: bytes) -> bytes:
+    """Return the last line of a cached file: the digest of the lines before."""
+    return f"# sha256 {hashlib.sha256(content).hexdigest()}\n".encode()
+
+
 def _is_whole(file: Path) -> bool:
     """Return whether a cached file ends with the digest of what stands before."""
     try:
@@ -350,16 +340,8 @@ def _cache_file(mesh: Mesh) -> Path:
 
 def _cache_key(mesh: Mesh) -> str:
     """Return the cache key of a decomposition: of this mesh, by this version, with this rule."""
-    rule = (
-        COACD_THRESHOLDS,
-        COACD_ITERATIONS,
-        CORNER_TOLERANCE,
-        MOST_CORNERS,
-        CLEARANCE_POINTS,
-        AHEAD,
-        OFF,
-        MOST,
-    )
+    decomposition = COACD_THRESHOLDS, COACD_ITERATIONS, CORNER_TOLERANCE, MOST_CORNERS
+    rule = (*decomposition, CLEARANCE_POINTS, AHEAD, OFF, MOST)
     geometry = mesh.vertices.astype("<f8").tobytes() + mesh.faces.astype("<u4").tobytes()
     return hashlib.sha256(f"coacd {version('coacd')} {rule}".encode() + geometry).hexdigest()
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from qdgrasp_protocol.errors import AssetError
 
 Floats = NDArray[np.float64]
-
-
 OBJ_GROUP = re.compile(r"[ \t]*[og][ \t]")
 """Start of another group, as for Bullet's reader: a blank must follow the letter."""
 
@@ -33,10 +31,7 @@ class ObjFile:
 
 
 def read_obj(text: str) -> ObjFile:
-    """Read an OBJ file; faces of more than three corners become fans of triangles.
-
-    Raises `ValueError` or `IndexError` for other text.
-    """
+    """Read an OBJ file, polygons as fans of triangles; `ValueError` or `IndexError` otherwise."""
     vertices: list[list[float]] = []
     groups: list[list[tuple[int, int, int]]] = [[]]
     for line in text.splitlines():
@@ -172,10 +167,7 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def read_parts(path: Path) -> tuple[Mesh, ...]:
-    """Read the convex parts in an OBJ file, one for each group, in the file's order.
-
-    Raises `AssetError` if the file is not there or not of that kind.
-    """
+    """Read the convex parts in an OBJ file, one for each group; else `AssetError`."""
     parts = []
     try:
         read = read_obj(path.read_text(encoding="utf-8"))

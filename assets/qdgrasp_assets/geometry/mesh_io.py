@@ -24,11 +24,7 @@ ROUNDING = 1e-6  # Relative difference below which two scales are the same
 
 
 def scale_of(units: str | None, scale: float | None) -> float | None:
-    """Return the scale of --units or --scale; None where neither is given.
-
-    Raises `UnknownName`, `ImpossibleValue` or `InputError` if there is no such unit, no mesh has that scale,
-    or both are given.
-    """
+    """Return the scale of --units or --scale, None without; an `InputError` for bad or both."""
     if scale is not None and not 0 < scale <= LARGEST_SCALE:
         unit = "metres to a unit of the mesh file: 0.001 for mm"
         raise ImpossibleValue(
@@ -91,9 +87,7 @@ FORMAT_PACKAGES = {
     ".ctm": "openctm",
 }
 """Packages that trimesh needs for a format, which users install themselves."""
-
 WRITABLE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb")  # Formats that are written
-
 LARGEST_FILE = 1 << 30  # Largest file [bytes]; 500 000 triangles, the most allowed, have 140 MB as text STL
 
 
@@ -114,10 +108,7 @@ def read_mesh(path: Path) -> Mesh:
 
 
 def read_mesh_file(path: Path) -> MeshFile:
-    """Read a mesh file, without further checks.
-
-    Raises `AssetError` if it is not there, no mesh of a format that can be read here, or empty.
-    """
+    """Read a mesh file; `AssetError` if it is not there, no mesh of a known format, or empty."""
     check_file(path)
     scene = _load_scene(path)
     geometries = [found for found in scene.geometry.values() if hasattr(found, "faces")]
@@ -186,11 +177,7 @@ def _load_scene(path: Path) -> Any:
 
 
 def check_file(path: Path) -> None:
-    """Check that a file exists and is not empty.
-
-    Raises `AssetError` for a folder, a pipe or a device, and a file that is not there, has no bytes, or too
-    many.
-    """
+    """Check that a file is there, ordinary, not empty and not too large; else `AssetError`."""
     if why := path_problem(path):
         if why == A_FOLDER:
             raise AssetError(

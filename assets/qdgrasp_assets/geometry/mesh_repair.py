@@ -29,8 +29,7 @@ def surface_faults(mesh: Mesh) -> tuple[str, ...]:
     if len(mesh.faces) > MOST_TRIANGLES:
         return (
             f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken: "
-            "simplify it, for example to "
-            "20 000 (quadric edge collapse decimation in MeshLab)",
+            "simplify it, for example to 20 000 (quadric edge collapse decimation in MeshLab)",
         )
     return tuple(_surface_faults(mesh, MeshEdges(mesh)))
 
@@ -64,20 +63,10 @@ class MeshEdges:
         return not (self.triangle_counts % 2).any()
 
     @cached_property
-    def is_wound_alike(self) -> bool:
-        """True if as many triangles run along each edge one way as the other."""
-        return not self._leans.any()
-
-    @cached_property
-    def _leans(self) -> Numbers:
-        """(e,): surplus of triangles that run along each edge upward over downward."""
-        upward = np.where(self.directed[:, 0] < self.directed[:, 1], 1, -1)
-        return np.bincount(self.edge_numbers, weights=upward).astype(np.int64)
-
-    @property
     def torn_edges(self) -> int:
-        """Number of edges of a closed mesh whose neighbours are wound both ways."""
-        return int((self._leans != 0).sum())
+        """Number of edges along which more triangles run one way than the other."""
+        upward = np.where(self.directed[:, 0] < self.directed[:, 1], 1, -1)
+        return int(np.count_nonzero(np.bincount(self.edge_numbers, weights=upward)))
 
     @cached_property
     def open_edges(self) -> Numbers:
@@ -156,7 +145,7 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
             f"it is not closed (watertight): {len(odd)} edges have an odd number of triangles, one at "
             f"{where}; take out the sheets that stand in it"
         )
-    if edges.is_closed and not edges.is_wound_alike:
+    if edges.is_closed and edges.torn_edges:
         yield (
             f"its triangles are wound both ways along {edges.torn_edges} edges, and cannot all face outward: "
             "it has no inside, like a Klein bottle; draw it again"
@@ -186,7 +175,7 @@ def repair_mesh(mesh: Mesh, *, fill_holes: bool = False) -> tuple[Mesh, tuple[st
 def is_surface(mesh: Mesh) -> bool:
     """Return whether a mesh is closed and consistently wound."""
     edges = MeshEdges(mesh)
-    return edges.is_closed and edges.is_wound_alike
+    return edges.is_closed and not edges.torn_edges
 
 
 def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
@@ -200,10 +189,7 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
 
 
 def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
-    """Remove degenerate and duplicate triangles.
-
-    Two that lie back to back enclose nothing, and both go.
-    """
+    """Remove degenerate and duplicate triangles, and both of two that lie back to back."""
     corners = np.sort(mesh.faces, axis=1)
     whole = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
     _, first, groups = np.unique(corners[whole], axis=0, return_index=True, return_inverse=True)
@@ -221,9 +207,6 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
 
 def wind_alike(mesh: Mesh) -> tuple[Mesh, str]:
     """Wind neighbours alike, each body as most of its triangles are."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     edges, count = MeshEdges(mesh), len(mesh.faces)
     order = np.argsort(edges.edge_numbers, kind="stable")
     paired = order[edges.triangle_counts[edges.edge_numbers[order]] == 2].reshape(-1, 2)
@@ -232,8 +215,7 @@ def wind_alike(mesh: Mesh) -> tuple[Mesh, str]:
     # each triangle stands twice, as it is and turned; neighbours that fit are joined
     mate = np.where(alike, other, other + count)
     rows, columns = np.concatenate([one, one + count]), np.concatenate([mate, (mate + count) % (2 * count)])
-    graph = coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(2 * count, 2 * count))
-    labels = connected_components(graph, directed=False)[1]
+    labels = _connected(np.column_stack([rows, columns]), 2 * count)
     votes = np.bincount(labels[:count], minlength=labels.max() + 1)
     as_is, as_turned = votes[labels[:count]], votes[labels[count:]]
     is_turned = (as_turned > as_is) | ((as_turned == as_is) & (labels[count:] < labels[:count]))
@@ -273,7 +255,11 @@ def inverted_bodies(mesh: Mesh) -> NDArray[np.bool_]:
 def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
     """Close small holes with a fan of triangles around the middle of their rim."""
     edges, limit = MeshEdges(mesh), SMALL_HOLE * mesh.extents.max()
-    rims = [hole for hole in edges.holes if edges_width(mesh, hole) <= limit and _is_ring(hole)]
+    rims = [  # those that visit each vertex once
+        hole
+        for hole in edges.holes
+        if edges_width(mesh, hole) <= limit and np.array_equal(np.unique(hole[:, 0]), np.sort(hole[:, 1]))
+    ]
     if not rims:
         return mesh, ""
     vertices, faces = [mesh.vertices], [mesh.faces]
@@ -284,11 +270,6 @@ def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
     where = point_in_words(edges_middle(mesh, rims[0]))
     widest = f"the widest, {edges_width(mesh, rims[0]):.4f} m, at {where}"
     return Mesh(np.concatenate(vertices), np.concatenate(faces)), f"{len(rims)} holes filled, {widest}"
-
-
-def _is_ring(rim: Numbers) -> bool:
-    """Return whether directed edges (k, 2) visit each vertex once."""
-    return np.array_equal(np.unique(rim[:, 0]), np.sort(rim[:, 1]))
 
 
 MEETING = 1e-3  # Bodies with no larger distance than this belong together [m]
@@ -315,25 +296,17 @@ def body_gap(mesh: Mesh) -> float:
     labels = bodies(mesh)
     if not labels.any():
         return 0.0
-    is_near = MeshBodies.of(mesh, labels).reached[labels]
+    is_near = MeshBodies(mesh, labels).reached[labels]
     return 0.0 if is_near.all() else surface_distance(mesh.corners[is_near], mesh.corners[~is_near])
 
 
-@dataclass(frozen=True)
 class MeshBodies:
-    """The bodies of a mesh."""
+    """The bodies of a mesh, by the body (f,) of each triangle."""
 
-    parts: tuple[Floats, ...]
-    """Triangles (n, 3, 3) of each body [m]."""
-    volumes: Floats
-    """(b,) [m3]; negative of hollows."""
-
-    @classmethod
-    def of(cls, mesh: Mesh, labels: NDArray[np.int64]) -> "MeshBodies":
-        """Group a mesh's triangles by their body labels (f,)."""
+    def __init__(self, mesh: Mesh, labels: Numbers) -> None:
         ends = np.cumsum(np.bincount(labels))[:-1]
-        parts = np.split(mesh.corners[np.argsort(labels, kind="stable")], ends)
-        return cls(tuple(parts), np.bincount(labels, weights=mesh.cone_volumes).astype(np.float64))
+        self.parts = np.split(mesh.corners[np.argsort(labels, kind="stable")], ends)
+        self.volumes = np.bincount(labels, weights=mesh.cone_volumes)  # [m3]; negative of hollows
 
     @property
     def reached(self) -> NDArray[np.bool_]:
@@ -351,11 +324,9 @@ class MeshBodies:
 
     def _meet(self, body: int, other: int) -> bool:
         """Return whether two bodies meet, given that their boxes do."""
-        if (
-            len(self.parts) > MANY_BODIES
-            or self._enclosing_bodies[body] == other
-            or self._enclosing_bodies[other] == body
-        ):
+        if len(self.parts) > MANY_BODIES:
+            return True
+        if self._enclosing_bodies[body] == other or self._enclosing_bodies[other] == body:
             return True
         first, second = self._near_triangles(body, other), self._near_triangles(other, body)
         return bool(len(first) and len(second)) and come_within(first, second, MEETING)

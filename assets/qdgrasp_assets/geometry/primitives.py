@@ -74,10 +74,7 @@ def superellipse(
 
 
 def stack(rows: Iterable[Sequence[float]]) -> list[Floats]:
-    """Return outlines one above the other.
-
-    Each row: height z, centre x and y, half sides in x and y [m], power.
-    """
+    """Return level outlines from rows: z, centre x and y, half sides in x and y [m], power."""
     x_axis, y_axis = np.eye(3)[:2]
     return [superellipse(np.array([x, y, z]), a * x_axis, b * y_axis, power) for z, x, y, a, b, power in rows]
 

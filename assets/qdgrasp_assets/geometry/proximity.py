@@ -108,13 +108,10 @@ def _distance_bounds(
     while is_open:
         size /= 2
         first, second = _cut(first, size), _cut(second, size)
-        middles, error = (
-            (first.mean(axis=1), second.mean(axis=1)),
-            _piece_radius(first) + _piece_radius(second),
-        )
+        one, other = first.mean(axis=1), second.mean(axis=1)
+        error = _piece_radius(first) + _piece_radius(second)
         far = (1 + slack) * (limit + error)
-        there = _away(middles[0], middles[1], slack, far)
-        back = _away(middles[1], middles[0], slack, far)
+        there, back = _away(one, other, slack, far), _away(other, one, slack, far)
         most = float(min(there.min(), back.min()))
         yield max(0.0, most / (1 + slack) - error), most
         far = (1 + slack) * (min(most, limit) + error)

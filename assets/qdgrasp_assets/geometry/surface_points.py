@@ -54,14 +54,10 @@ def released_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, s
 
 
 SURFACES = {"paper": paper_surface, "released": released_surface, "robust": paper_surface}
-"""The function that samples the object, by evaluation protocol."""
 
 
 def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Floats, NDArray[np.int64]]:
-    """Draw `n` points uniformly by area.
-
-    Returns the points (n, 3) [m] in the frame of the mesh, and the face (n,) that each was drawn from.
-    """
+    """Draw `n` points (n, 3) [m] uniformly by area, with the face (n,) that each is from."""
     random = np.random.default_rng(seed)
     cumulated = np.cumsum(mesh.areas)
     drawn = np.searchsorted(cumulated, random.random(n) * cumulated[-1], side="right")

@@ -12,16 +12,10 @@ from msgspec import UNSET, Struct, structs
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.grasp_inference import ClosingMotion, find_closing, joint_motor, pinches
-from qdgrasp_assets.grippers.gripper_file import (
-    FreeJointTable,
-    GripperFile,
-    JawTable,
-    JointTable,
-    SynergyTable,
-)
+from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable
 from qdgrasp_assets.grippers.hand_model import HandModel, fixed_limbs, guess_base, read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf
-from qdgrasp_assets.scene import Vector, vector
+from qdgrasp_assets.scene import Jaw, Synergy, Vector, vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.text import counted
 
@@ -36,7 +30,6 @@ class DraftOverrides:
     licence: str | None = None
     base_link: str | None = None
     base_reason: str = AS_TOLD
-    """Reason for the choice of the base link."""
     approach_axis: Vector | None = None
     palm_offset: float | None = None
     standoff: tuple[float, float] | None = None
@@ -108,7 +101,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         standoff=standoff,
         finger_links=links,
         joints={name: table for name, (table, _) in joints.items()},
-        synergies=tuple(SynergyTable(name=name, joints=group) for name, group in synergies.items()),
+        synergies=tuple(Synergy(name=name, joints=group) for name, group in synergies.items()),
         free_joints=free,
         jaw=jaw,
     )
@@ -181,12 +174,12 @@ def _free(
     return tables, AS_TOLD if overrides.free else reason
 
 
-def _jaw(closing: ClosingMotion, axis: Floats) -> tuple[JawTable | None, str]:
+def _jaw(closing: ClosingMotion, axis: Floats) -> tuple[Jaw | None, str]:
     across = grasp_inference.jaw_axis(closing, axis)
     opening = 0.0 if across is None else grasp_inference.jaw_opening(closing, axis, across)
     if across is None or opening <= 0:
         return None, ""
-    table = JawTable(axis=_rounded(across), opening=round(opening, 4))
+    table = Jaw(axis=_rounded(across), opening=round(opening, 4))
     return table, "two fingers that move toward each other, and the room between them when open"
 
 
@@ -230,20 +223,13 @@ def draft_toml(draft: GripperDraft, name: str) -> str:
     file, reasons = draft.file, draft.reasons
     lines = [*_comment(TOML_HEAD.format(urdf=file.urdf, name=name)), f"urdf = {_value(file.urdf)}"]
     for key in PLAIN_KEYS:
-        lines += [
-            "",
-            *_comment(reasons[key] + KEY_UNITS.get(key, "")),
-            f"{key} = {_value(getattr(file, key))}",
-        ]
+        comment = _comment(reasons[key] + KEY_UNITS.get(key, ""))
+        lines += ["", *comment, f"{key} = {_value(getattr(file, key))}"]
     if file.jaw is not None:
         lines += ["", *_comment(reasons["jaw"]), "[jaw]", *_table(file.jaw)]
     for joint, table in file.joints.items():
-        lines += [
-            "",
-            *_comment(reasons.get(f"joints.{joint}", "")),
-            f"[joints.{_key(joint)}]",
-            *_table(table),
-        ]
+        comment = _comment(reasons.get(f"joints.{joint}", ""))
+        lines += ["", *comment, f"[joints.{_key(joint)}]", *_table(table)]
     for number, synergy in enumerate(file.synergies):
         lines += ["", *(() if number else _comment(reasons["synergies"])), "[[synergies]]", *_table(synergy)]
     for number, (joint, free) in enumerate(file.free_joints.items()):

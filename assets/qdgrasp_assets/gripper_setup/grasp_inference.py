@@ -88,14 +88,9 @@ class ClosingSearch:
         self.body = body
         self.leaders = [name for name in body.moving if name not in body.followers]
         self.middle = self._posture_at(0.5)
-        self.fingers = find_fingers(
-            body, [with_followers(body.robot, self._posture_at(share)) for share in (0.0, 0.5, 1.0)]
-        )
-
-    @cached_property
-    def groups(self) -> tuple[JointGroup, ...]:
-        """Groups of leading joints, finger by finger, outward."""
-        return tuple(_groups(self.body, self.fingers, self.leaders))
+        postures = [with_followers(body.robot, self._posture_at(share)) for share in (0.0, 0.5, 1.0)]
+        self.fingers = find_fingers(body, postures)
+        self.groups = tuple(_groups(body, self.fingers, self.leaders))
 
     def tip_distance(self, changed: Posture) -> float:
         """Return the sum of the distances [m] between fingertips, and to the middle of the roots.
@@ -176,25 +171,18 @@ def _resting_position(search: ClosingSearch, name: str) -> tuple[float, str]:
 
 
 def _groups(body: HandModel, fingers: tuple[Finger, ...], leaders: Iterable[str]) -> Iterable[JointGroup]:
+    """Yield the groups of leading joints, finger by finger, outward."""
     frames = body.frames({})
     axes = {name: frames[body.joint(name).child][:3, :3] @ body.joint(name).axis for name in leaders}
+    turning = {name for name in axes if _turns(body.joint(name))}
     for finger in fingers:
         left = [name for name in finger.joints if name in axes]
         while left:
             first = left[0]
-            own = [
-                name
-                for name in left
-                if name == first
-                or (
-                    _turns(body.joint(first))
-                    and _turns(body.joint(name))
-                    and abs(axes[first] @ axes[name]) > PARALLEL
-                )
-            ]
-            yield JointGroup(
-                finger, tuple(own), tuple(float(np.sign(axes[first] @ axes[name])) for name in own)
-            )
+            cosines = {name: axes[first] @ axes[name] for name in left}
+            parallel = {name for name in left if {first, name} <= turning and abs(cosines[name]) > PARALLEL}
+            own = tuple(name for name in left if name in parallel | {first})
+            yield JointGroup(finger, own, tuple(float(np.sign(cosines[name])) for name in own))
             left = [name for name in left if name not in own]
 
 
@@ -207,10 +195,7 @@ SAME_TURN = 0.8  # Cosine above which two fingers turn the same way
 
 
 def pinches(closing: ClosingMotion) -> tuple[dict[str, tuple[str, ...]], str]:
-    """Return the thumb with each other finger, and all fingers, by name; empty without a thumb.
-
-    The thumb is the one finger that closes another way than all others.
-    """
+    """Return the thumb, which turns unlike all others, with each finger, and all; or empty."""
     fingers = closing.fingers
     turns = np.array([_turning_axis(closing, finger) for finger in fingers]).reshape(-1, 3)
     alike = turns @ turns.T > SAME_TURN
@@ -365,10 +350,7 @@ def axis_offset(closing: ClosingMotion, axis: Floats) -> float:
 
 
 def jaw_axis(closing: ClosingMotion, axis: Floats) -> Floats | None:
-    """Return the unit vector (3,) from finger to finger, normal to the approach axis.
-
-    None where there are not two fingers that move toward each other.
-    """
+    """Return the unit vector (3,) between two fingers that close, normal to the axis; else None."""
     if len(closing.fingers) != 2:
         return None
     opened, closed = closing.tips(0.0), closing.tips(0.5)

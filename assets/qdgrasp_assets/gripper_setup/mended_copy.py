@@ -17,10 +17,11 @@ from typing import NoReturn
 import numpy as np
 
 from qdgrasp_assets.asset_paths import path_problem
+from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.grasp_inference import find_closing
-from qdgrasp_assets.gripper_setup.mesh_splitting import MeshSplitter, Tell
+from qdgrasp_assets.gripper_setup.mesh_splitting import MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, drop_visuals, parse_robot, read_urdf
@@ -54,10 +55,7 @@ def weigh(hand: Urdf, splitter: MeshSplitter) -> Iterator[str]:
 
 
 def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
-    """Return mass [kg] and `<inertial>` of convex parts (v, 3) [m].
-
-    The inertia is that of a box around them.
-    """
+    """Return mass [kg] and `<inertial>` of convex parts (v, 3) [m]: the inertia of their box."""
     from scipy.spatial import ConvexHull, QhullError
 
     volume = 0.0
@@ -140,7 +138,6 @@ class MendedCopy:
     robot: Urdf
     base: str
     changes: tuple[str, ...]
-    """Descriptions of the changes, one sentence each."""
 
 
 def centre_base(robot: Urdf, base: str) -> MendedCopy | None:
@@ -191,10 +188,7 @@ def mended_meshes(toml: Path) -> Path:
 
 
 def check_replaceable(robot: Urdf, toml: Path) -> None:
-    """Check that a copy would replace nothing but an older copy that `robot` does not use.
-
-    Raises `AssetError` if something else is there, or `robot` uses it.
-    """
+    """Check that a copy replaces only an older one that `robot` does not use; else `AssetError`."""
     urdf, folder = mended_urdf(toml), mended_meshes(toml)
     if urdf.exists() and (path_problem(urdf) or not urdf.read_bytes().startswith(HEAD.encode())):
         _refuse(urdf, "was not written by --mend")

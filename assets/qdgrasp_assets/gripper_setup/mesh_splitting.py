@@ -5,8 +5,7 @@ The simulator wraps each mesh in its convex hull, and so fills those that are ho
 
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from math import isclose
 from pathlib import Path, PurePosixPath
 
@@ -15,6 +14,7 @@ import numpy as np
 from qdgrasp_assets.geometry.collision_parts import (
     DecompositionTimeout,
     FingerClearance,
+    Tell,
     decompose,
     simplify_part,
 )
@@ -28,22 +28,10 @@ from qdgrasp_protocol.errors import AssetError
 
 MUCH_FILLED = 0.1  # A link is hollow where its hull fills the room in front of this share of its surface
 VOLUME_TOLERANCE = 0.001  # Volumes that differ by at most this share are taken as equal
-SPACE_DIMENSIONS = 3  # Number of dimensions
 
 
-@dataclass(frozen=True)
-class HollowMesh:
-    """A collision mesh whose hull fills its hollows."""
-
-    link: str
-    name: str
-    """Name of the mesh in the URDF."""
-    filled: float
-    """Share of the surface in front of which the hull fills free space."""
-
-
-def hollow_meshes(hand: Urdf) -> Iterator[HollowMesh]:
-    """Yield the collision meshes of a hand whose hulls are much larger than they are."""
+def hollow_meshes(hand: Urdf) -> Iterator[tuple[str, float]]:
+    """Yield links of hollow meshes, with the share of the surface before which hulls fill room."""
     for link, shape in collision_elements(hand):
         element = shape.find("geometry/mesh")
         if element is None or shape.get(CONCAVE) is not None:
@@ -56,14 +44,11 @@ def hollow_meshes(hand: Urdf) -> Iterator[HollowMesh]:
             continue
         filled = FingerClearance(surface).fit(parts).filled
         if filled > MUCH_FILLED:
-            yield HollowMesh(link, element.get("filename", ""), filled)
+            yield link, filled
 
 
 def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
-    """Read the mesh that a `<mesh>` names, scaled; coincident vertices merged.
-
-    Raises `AssetError` if it does not exist, or cannot be read.
-    """
+    """Read a `<mesh>`, scaled, coincident vertices merged; `AssetError` if it cannot be read."""
     import trimesh
 
     name = element.get("filename", "")
@@ -83,7 +68,7 @@ def read_mesh_of(urdf: Path, element: ET.Element) -> Mesh:
 
 def is_solid(corners: Floats) -> bool:
     """Return whether corners (v, 3) span three dimensions."""
-    return bool(len(corners) and np.linalg.matrix_rank(corners - corners[0], tol=1e-7) == SPACE_DIMENSIONS)
+    return bool(len(corners) and np.linalg.matrix_rank(corners - corners[0], tol=1e-7) == 3)
 
 
 THRESHOLDS = (0.2, 0.1, 0.05)
@@ -92,8 +77,6 @@ TIME_LIMIT = 600.0  # Time limit of CoACD for one mesh at one concavity [s]
 MILLIMETRES = 0.001
 FEW_TRIANGLES = 4000  # Triangles above which a mesh is thinned before it is split
 NEAR_VERTICES = 1.5e-3  # Vertices of such a mesh that are in the same cube of this size become one [m]
-
-Tell = Callable[[str], None]
 
 
 class MeshSplitter:
@@ -159,10 +142,7 @@ class MeshSplitter:
         return file, " and ".join([*words, *([change] if change else [])])
 
     def _parts(self, link: str, name: str, element: ET.Element, mesh: Mesh) -> tuple[tuple[Mesh, ...], str]:
-        """Return the convex parts that stand for a mesh, and the change in words.
-
-        They are the fewest that leave the free space, else the finest.
-        """
+        """Return the fewest parts that leave the free space, else the finest, and the change."""
         own, clearance = self._hulls_of(name, element, mesh), FingerClearance(mesh)
         filled = clearance.fit(own).filled
         if filled <= MUCH_FILLED:

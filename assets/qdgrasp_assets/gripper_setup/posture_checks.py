@@ -12,6 +12,7 @@ from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME, ClosingMotion, interpolate_posture
 from qdgrasp_assets.grippers.gripper_file import GripperFile
 from qdgrasp_assets.grippers.hand_model import HandModel, find_fingers, overlap_depth
+from qdgrasp_assets.scene import unit_vector
 from qdgrasp_protocol.text import counted, join_numbers
 
 DEEP_OVERLAP = 2e-3  # Depth from which links overlap [m]; their hulls are larger than they are
@@ -70,11 +71,8 @@ def _mimic_faults(hand: HandPostures) -> Iterator[str]:
         for label, share in (("open", 0.0), ("closed", 1.0)):
             posture = hand.posture(share)
             meant = float(np.clip(follower.position(posture[follower.leader]), *hand.body.range(name)))
-            if (
-                name in joints
-                and joints[name].driven
-                and abs(posture[name] - meant) > 1e-3 + 0.01 * abs(meant)
-            ):
+            is_off = abs(posture[name] - meant) > 1e-3 + 0.01 * abs(meant)
+            if name in joints and joints[name].driven and is_off:
                 yield (
                     f"joints.{name} is {label} at {posture[name]:g}, and by the URDF's <mimic> it is at "
                     f"{meant:g} where {follower.leader} is at {posture[follower.leader]:g}; "
@@ -185,9 +183,8 @@ def posture_notes(file: GripperFile, body: HandModel) -> tuple[str, ...]:
 def _approach_notes(hand: HandPostures) -> Iterator[str]:
     """Yield notes on finger links, approach axis, palm and stand-off."""
     file, closing, angle = hand.file, hand.closing, approach_angle(hand)
-    bare = [link for link in file.finger_links if link not in hand.body.parts]
-    if bare:
-        yield f"finger links without a collision shape, which touch nothing: {', '.join(bare)}"
+    if bare := ", ".join(link for link in file.finger_links if link not in hand.body.parts):
+        yield f"finger links without a collision shape, which touch nothing: {bare}"
     if LOOKS_AWAY >= angle > AXIS_OFF:
         axis = join_numbers(grasp_inference.approach_direction(closing))
         yield f"approach_axis is {np.degrees(angle):.0f} degrees from where the fingers close, [{axis}]"
@@ -218,7 +215,7 @@ def _jaw_notes(hand: HandPostures) -> Iterator[str]:
             f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {gap:.4g} "
             "it could use antipodal methods"
         )
-    elif abs(across @ jaw.to_scene().axis) < np.cos(AXIS_OFF):
+    elif abs(across @ unit_vector(jaw.axis)) < np.cos(AXIS_OFF):
         yield f"jaw.axis is [{join_numbers(jaw.axis)}], and the fingers oppose each other along [{axis}]"
     elif abs(gap - jaw.opening) > JAW_OFF:
         yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {gap:.4g} m"
@@ -254,16 +251,8 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
             f"an evaluation closes the hand for {CLOSING_TIME:.2f} s, in which it does not close wholly: "
             f"{', '.join(late)}"
         )
-    driven = [name for name in file.free_joints if file.joints[name].driven]
-    if driven:
-        yield (
-            "free joints that are driven go back to their open place while the hand closes: "
-            f"{', '.join(driven)}"
-        )
-    linked = [
-        f"'{one}' and '{other}'"
-        for one, other, _ in deep_pairs(hand, 0.0)
-        if is_always_deep(hand, one, other)
-    ]
-    if linked:
-        yield f"in each other in every posture, as links of one linkage are: {', '.join(linked)}"
+    if driven := ", ".join(name for name in file.free_joints if file.joints[name].driven):
+        yield f"free joints that are driven go back to their open place while the hand closes: {driven}"
+    pairs = [(one, other) for one, other, _ in deep_pairs(hand, 0.0) if is_always_deep(hand, one, other)]
+    if linked := ", ".join(f"'{one}' and '{other}'" for one, other in pairs):
+        yield f"in each other in every posture, as links of one linkage are: {linked}"

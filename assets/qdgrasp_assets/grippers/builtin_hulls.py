@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Points = NDArray[np.float64]
-"""(n, 3) [mm]."""
+Points = NDArray[np.float64]  # (n, 3) [mm]
 HERE = Path(__file__).parent
 CORNERS = 16  # Number of corners of a circle
 BULGE = 2.0 / (1.0 + np.cos(np.pi / CORNERS))
@@ -123,7 +122,6 @@ HULLS: dict[str, Callable[[], Points]] = {
     "robotiq_2f_knuckle": robotiq_knuckle,
     "robotiq_2f_finger": robotiq_finger,
 }
-"""Functions that build the hulls, by file name."""
 
 
 def hull(points: Points) -> Any:

@@ -35,10 +35,7 @@ class CollisionShape:
 
 
 def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:
-    """Yield the collision shapes of a robot's links; `files` holds its meshes by name.
-
-    Raises `AssetError` if a mesh has no triangles.
-    """
+    """Yield links' collision shapes from `files` by name; `AssetError` if a mesh is empty."""
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):
             geometry = collision.find("geometry")

@@ -22,7 +22,7 @@ from qdgrasp_assets.grippers.gripper_file import (
 )
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element, without_visuals
 from qdgrasp_assets.grippers.urdf_checks import missing_meshes, weight_faults
-from qdgrasp_assets.scene import CarrierJoint, FreeJoint, Joint, SceneGripper, Synergy, unit_vector
+from qdgrasp_assets.scene import CarrierJoint, FreeJoint, Jaw, Joint, SceneGripper, unit_vector
 from qdgrasp_protocol.errors import AssetError
 
 HOLD_FORCE = 100.0  # N, Nm
@@ -56,8 +56,6 @@ SIX_AXES = (
     CarrierAxis("rotationZ", "revolute", "0 0 1"),
 )
 TWO_AXES = (TRANSLATION_Z, ROTATION_X)
-
-
 CarriedHand = tuple[Urdf, tuple[CarrierJoint, ...]]
 """A hand on its carrier: the URDF's tree and the joints that the worker commands."""
 
@@ -81,15 +79,13 @@ def paper_carrier(robot: Urdf, base: str, hold_force: float) -> CarriedHand:
     the Panda.
     """
     hand = robot.subtree(base)
-    scales = {
-        "z": (CARRIED_MASS + hand.mass) / (CARRIED_MASS + PANDA_MASS),
-        "x": inertia_about_x(hand) / PANDA_INERTIA,
-    }
-    urdf = _compose(hand, base, TWO_AXES, CARRIED_MASS)
+    along = (CARRIED_MASS + hand.mass) / (CARRIED_MASS + PANDA_MASS)
+    about = inertia_about_x(hand) / PANDA_INERTIA
     commands = (
-        _carrier_command(axis, HOLD_FORCE * scales[axis.shake], scales[axis.shake]) for axis in TWO_AXES
+        _carrier_command(TRANSLATION_Z, HOLD_FORCE * along, along),
+        _carrier_command(ROTATION_X, HOLD_FORCE * about, about),
     )
-    return urdf, tuple(commands)
+    return _compose(hand, base, TWO_AXES, CARRIED_MASS), commands
 
 
 def inertia_about_x(hand: Urdf) -> float:
@@ -110,7 +106,6 @@ CARRIERS: dict[str, Callable[[Urdf, str, float], CarriedHand]] = {
     "released": released_carrier,
     "robust": paper_carrier,
 }
-"""The function that mounts a hand on its carrier, by evaluation protocol."""
 
 
 def _carrier_command(axis: CarrierAxis, hold_force: float, scale: float) -> CarrierJoint:
@@ -160,21 +155,13 @@ class Gripper:
     """The whole URDF; the hand is its sub-tree from `base_link`."""
 
     def check_hand(self) -> None:
-        """Check that the simulator finds the hand's meshes, and takes its masses as they are meant.
-
-        Raises `AssetError` if a collision mesh is missing or no ordinary file, or masses are made up,
-        refused, or hold a link still.
-        """
+        """Check the hand's meshes, and masses made up, refused or holding still; `AssetError`."""
         hand = self.robot.subtree(self.file.base_link)
-        found = (*weight_faults(hand.element), *missing_meshes(hand))
-        if found:
+        if found := (*weight_faults(hand.element), *missing_meshes(hand)):
             raise AssetError(f"The URDF '{self.robot.path}' cannot be used as it is: {'; and '.join(found)}.")
 
     def on_carrier(self, protocol: str) -> SceneGripper:
-        """Return the hand as an evaluation protocol mounts it on its carrier.
-
-        Raises `AssetError` if a collision mesh is missing, empty or cannot be read.
-        """
+        """Mount the hand for a protocol; `AssetError` if a mesh is missing, empty or unreadable."""
         file = self.file
         urdf, carrier = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
         element, meshes = without_visuals(urdf).bundled()
@@ -188,14 +175,14 @@ class Gripper:
             carrier=carrier,
             joints=tuple(self._joint(name, table) for name, table in file.joints.items()),
             finger_links=file.finger_links,
-            synergies=tuple(Synergy(name=each.name, joints=each.joints) for each in file.synergies),
+            synergies=file.synergies,
             free_joints=tuple(
                 FreeJoint(name=name, low=each.low, high=each.high) for name, each in file.free_joints.items()
             ),
             approach_axis=unit_vector(file.approach_axis),
             palm_offset=file.palm_offset,
             standoff=file.standoff,
-            jaw=file.jaw.to_scene() if file.jaw else None,
+            jaw=file.jaw and Jaw(axis=unit_vector(file.jaw.axis), opening=file.jaw.opening),
             extent=self._extent(element, meshes),
         )
 
@@ -226,11 +213,7 @@ class Gripper:
 
 
 def read_gripper(path: Path, name: str, source: str) -> Gripper:
-    """Read a gripper's TOML and the URDF that it names.
-
-    Raises `UnknownKey` for a key that no field has, and `AssetError` if a file is missing or cannot be read,
-    a value is impossible, or the two do not fit each other.
-    """
+    """Read a gripper's TOML and its URDF; `UnknownKey` or `AssetError` where either has a fault."""
     file = read_gripper_file(path)
     urdf = urdf_path(path, file)
     robot = parse_robot(urdf, read_robot_element(urdf))

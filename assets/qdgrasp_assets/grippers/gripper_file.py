@@ -18,7 +18,7 @@ from msgspec import Struct
 from qdgrasp_assets.asset_paths import on_asset_path, path_problem, searched
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.grippers.urdf_checks import kind_fault
-from qdgrasp_assets.scene import Jaw, unit_vector
+from qdgrasp_assets.scene import Jaw, Synergy
 from qdgrasp_protocol.errors import AssetError, UnknownKey
 
 Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
@@ -31,7 +31,6 @@ KINDS: dict[Any, str] = {
     Vector: "three numbers",
     Names: "a list of names",
 }
-"""Description of the values of each type, for errors."""
 TABLE_KINDS = {
     "joints": "tables [joints.NAME]",
     "synergies": "tables [[synergies]]",
@@ -114,31 +113,11 @@ class JointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """False: never commanded, held by the simulator."""
 
 
-class SynergyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[[synergies]]`: joints that close together."""
-
-    name: str
-    joints: tuple[str, ...]
-
-
 class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[free_joints.NAME]`: a joint whose initial position is a gene."""
 
     low: float
     high: float
-
-
-class JawTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[jaw]`: the two opposing fingers of a two-finger hand."""
-
-    axis: tuple[float, float, float]
-    """Unit vector from one finger to the other, base link's frame."""
-    opening: float
-    """Distance between the open fingers [m]."""
-
-    def to_scene(self) -> Jaw:
-        """Return the jaw in a scene's form."""
-        return Jaw(axis=unit_vector(self.axis), opening=self.opening)
 
 
 class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -153,10 +132,10 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     standoff: tuple[float, float]
     finger_links: tuple[str, ...]
     joints: dict[str, JointTable]
-    synergies: tuple[SynergyTable, ...] = ()
+    synergies: tuple[Synergy, ...] = ()
     free_joints: dict[str, FreeJointTable] = {}
-    jaw: JawTable | None = None
-    """None: not a two-finger hand."""
+    jaw: Jaw | None = None
+    """Its axis may be of any length; None: not a two-finger hand."""
     carrier_hold_force: float = 100.0
     """Force that holds the carrier's joints in `released` [N, Nm]."""
 
@@ -170,18 +149,15 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 TABLES: dict[str, Any] = {
     "": GripperFile,
     "joints": JointTable,
-    "synergies": SynergyTable,
+    "synergies": Synergy,
     "free_joints": FreeJointTable,
-    "jaw": JawTable,
+    "jaw": Jaw,
 }
 """Struct of each table by its key; empty: the file itself, `joints`: each `[joints.NAME]`."""
 
 
 def urdf_path(path: Path, file: GripperFile) -> Path:
-    """Return the path of the URDF that a gripper's file names.
-
-    Raises `AssetError` if it should be on the asset path, and is not there.
-    """
+    """Return the path of the URDF of a file; `AssetError` if not found on the asset path."""
     found = file.find_urdf(path)
     if found is None:
         raise AssetError(
@@ -192,11 +168,7 @@ def urdf_path(path: Path, file: GripperFile) -> Path:
 
 
 def read_gripper_file(path: Path) -> GripperFile:
-    """Read a gripper's TOML alone.
-
-    Raises `UnknownKey` for a key that no field has, and `AssetError` if the file is not there, no TOML, or a
-    field is left out or of another kind.
-    """
+    """Read a gripper's TOML alone; `UnknownKey`, or `AssetError` for another mistake or no file."""
     if why := path_problem(path):
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
     try:
@@ -287,10 +259,8 @@ def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
     for label, position in (("open", table.open), ("closed", table.closed)):
         if position is not None:
             yield from _limit_faults(joint, f"joints.{joint.name}.{label}", position)
-    for label, stated, value in (
-        ("effort", table.effort, joint.effort),
-        ("velocity", table.velocity, joint.velocity),
-    ):
+    for label in ("effort", "velocity"):
+        stated, value = getattr(table, label), getattr(joint, label)
         if table.driven and (value if stated is None else stated) <= 0:
             yield (
                 f"the {label} of the joint '{joint.name}' must be greater than 0; the URDF has {value:g}, "

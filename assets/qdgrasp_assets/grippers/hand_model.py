@@ -248,10 +248,7 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
 
 
 def mesh_bytes(path: Path, name: str) -> bytes:
-    """Return the content of the mesh that the URDF at `path` refers to as `name`.
-
-    Raises `AssetError` if it does not exist, or cannot be read.
-    """
+    """Return the content of mesh `name` of the URDF at `path`; `AssetError` if unreadable."""
     element = ET.Element("robot")
     link = ET.SubElement(element, "link", name="")
     ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "mesh", filename=name)
@@ -341,10 +338,7 @@ class Finger:
 
 
 def find_fingers(body: HandModel, postures: Iterable[dict[str, float]]) -> tuple[Finger, ...]:
-    """Find the fingers of a hand; limbs that overlap in all `postures` are one.
-
-    A limb without collision shapes does not count.
-    """
+    """Find a hand's fingers: limbs with shapes; those that overlap in all `postures` are one."""
     placed = [body.parts_at(posture) for posture in postures]
     fingers: list[Finger] = []
     for name in (*moving_limbs(body.robot, body.robot.root), *fixed_limbs(body)):

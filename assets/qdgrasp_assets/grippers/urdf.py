@@ -151,10 +151,7 @@ class Urdf:
 
 
 def read_urdf(path: Path) -> Urdf:
-    """Read a robot from a URDF file.
-
-    Raises `AssetError` if it is not there, is not XML, or is not one tree of links and joints.
-    """
+    """Read a robot from a URDF file; `AssetError` if it is not one tree of links and joints."""
     try:
         element = ET.fromstring(path.read_text(encoding="utf-8"))  # noqa: S314  # the user's own file
     except OSError as error:
@@ -222,10 +219,7 @@ def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[flo
 
 
 def parse_origin(path: Path, element: ET.Element | None) -> Floats:
-    """Return the frame (4, 4) of an `<origin>`.
-
-    Raises `AssetError` if it does not hold three numbers each.
-    """
+    """Return the frame (4, 4) of an `<origin>`; `AssetError` without three numbers each."""
     if element is None:
         return np.eye(4)
     place = np.array(_numbers(path, element, "xyz", 3)) if element.get("xyz") else np.zeros(3)
@@ -293,11 +287,7 @@ OTHER_FORMATS = {
 
 
 def read_robot_element(path: Path) -> ET.Element:
-    """Read the `<robot>` element of a URDF.
-
-    Raises `AssetError` if it is not there, is a xacro file, is not XML, or describes something else than a
-    robot.
-    """
+    """Read the `<robot>` element of a URDF; `AssetError` for xacro, other XML or no file."""
     if why := path_problem(path):
         raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
     try:

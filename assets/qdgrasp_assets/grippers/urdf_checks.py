@@ -21,19 +21,14 @@ from qdgrasp_protocol.text import first_few, quoted
 MEASURES = frozenset(
     ("xyz", "rpy", "size", "scale", "radius", "length", "lower", "upper", "effort", "velocity", "value")
 )
-"""Attributes that hold numbers."""
 NON_FINITE = frozenset(("nan", "inf", "infinity"))
 MOST_NAMED = 4  # Most names listed for each fault
 
 
 def structure_faults(element: ET.Element) -> tuple[str, ...]:
     """Return the faults that keep links and joints of a `<robot>` from being one tree."""
-    return (
-        *_name_faults(element),
-        *_missing_links(element),
-        *_tree_faults(element),
-        *_number_faults(element),
-    )
+    checks = _name_faults, _missing_links, _tree_faults, _number_faults
+    return tuple(fault for check in checks for fault in check(element))
 
 
 def _name_faults(element: ET.Element) -> Iterator[str]:
@@ -41,8 +36,7 @@ def _name_faults(element: ET.Element) -> Iterator[str]:
         names = Counter(each.get("name", "") for each in element.findall(kind))
         if names.pop("", 0):
             yield f"a {kind} has no name; give each its own"
-        twice = [name for name, times in names.items() if times > 1]
-        if twice:
+        if twice := [name for name, times in names.items() if times > 1]:
             yield f"{listed(kind, twice)} named more than once; give each its own name"
     if element.find("link") is None:
         yield "it has no links"
@@ -64,8 +58,7 @@ def _tree_faults(element: ET.Element) -> Iterator[str]:
     """Yield faults of links that hang on two joints, on no joint, or on each other."""
     links = [link.get("name", "") for link in element.findall("link")]
     hanging = Counter(child for _, child in edges(element))
-    twice = [name for name, times in hanging.items() if times > 1]
-    if twice:
+    if twice := [name for name, times in hanging.items() if times > 1]:
         yield (
             f"{listed('link', twice)} the child of two joints: it closes a loop, which neither URDF nor the "
             "simulator knows; cut the loop by leaving one of the joints out, and drive the rest alike"
@@ -79,8 +72,7 @@ def _tree_faults(element: ET.Element) -> Iterator[str]:
     outward, reached = list(edges(element)), set(roots)
     while found := {child for parent, child in outward if parent in reached} - reached:
         reached |= found
-    round_about = sorted(set(links) - reached)
-    if round_about:
+    if round_about := sorted(set(links) - reached):
         yield f"{listed('link', round_about)} carried by itself in a circle of joints; cut the circle"
 
 
@@ -104,7 +96,6 @@ def listed(kind: str, names: list[str]) -> str:
     return f"the {kind}{'s' if many else ''} {first_few(quoted(names), MOST_NAMED)} {'are' if many else 'is'}"
 
 
-PAIR = 2
 LIMITED = ("revolute", "prismatic")
 KINDS = {
     "fixed": "",
@@ -144,10 +135,8 @@ def _joint_faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]
     leader = None if mimic is None else mimic.get("joint", "")
     if leader is not None and (leader not in joints or leader == name):
         yield f"the joint '{name}' mimics '{leader}', which is no other joint of the robot; correct the name"
-    if (
-        mimic is not None
-        and len(_attribute_numbers(f"{mimic.get('multiplier', 1)} {mimic.get('offset', 0)}")) != PAIR
-    ):
+    factors = "1 0" if mimic is None else f"{mimic.get('multiplier', 1)} {mimic.get('offset', 0)}"
+    if len(_attribute_numbers(factors)) != 2:
         yield f"the joint '{name}' mimics another by what is no number; correct multiplier and offset"
 
 
@@ -156,13 +145,12 @@ def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
     turned, still = [], []
     for name, joint in joints.items():
         limit = joint.find("limit")
-        if joint.get("type") not in LIMITED or limit is None:
-            continue
-        found = _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}")
-        if len(found) == PAIR and found[0] > found[1]:
-            turned.append(name)
-        elif len(found) == PAIR and found[0] == found[1]:
-            still.append(name)
+        if joint.get("type") in LIMITED and limit is not None:
+            match _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}"):
+                case low, high if low > high:
+                    turned.append(name)
+                case low, high if low == high:
+                    still.append(name)
     if turned:
         yield (
             f"{listed('joint', turned)} limited the wrong way round, lower above upper, which the simulator "
@@ -184,9 +172,6 @@ def _attribute_numbers(text: str) -> list[float]:
 
 HEAVIEST_HAND = 30.0  # Largest mass of a hand [kg]; a heavier one is given in grams
 MEND_ADVICE = "or have `qdgrasp gripper new --mend` do it"
-
-Masses = Mapping[str, float | None]
-"""Masses of links by name [kg]; None where the file states no number."""
 
 
 def weight_faults(element: ET.Element) -> tuple[str, ...]:
@@ -255,14 +240,13 @@ def _inertials(element: ET.Element) -> dict[str, ET.Element | None]:
     return {link.get("name", ""): link.find("inertial") for link in element.findall("link")}
 
 
-def _masses(element: ET.Element) -> Masses:
+def _masses(element: ET.Element) -> dict[str, float | None]:
+    """Return the masses of links by name [kg]; None where the file states no number."""
     masses: dict[str, float | None] = {}
     for name, inertial in _inertials(element).items():
         mass = None if inertial is None else inertial.find("mass")
-        try:
-            masses[name] = None if mass is None else float(mass.get("value", ""))
-        except ValueError:
-            masses[name] = None
+        values = [] if mass is None else _attribute_numbers(mass.get("value", ""))
+        masses[name] = values[0] if len(values) == 1 else None
     return masses
 
 
@@ -276,8 +260,7 @@ MOST_MESHES_NAMED = 3  # Most meshes of a kind that are named
 
 def mesh_faults(hand: Urdf) -> tuple[str, ...]:
     """Return the faults that keep a hand's shapes from being simulated."""
-    missing = missing_meshes(hand)
-    if missing:
+    if missing := missing_meshes(hand):
         return missing
     faults = (_shape_fault(hand, link, shape) for link, shape in collision_elements(hand))
     return (*_kind_faults(hand), *(fault for fault in faults if fault))

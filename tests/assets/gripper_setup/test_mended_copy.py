@@ -211,7 +211,7 @@ def tooth(place: int) -> Mesh:
 def hollow_links(jaw_urdf, edit, parts):
     (jaw_urdf.parent / "pad.obj").write_bytes(parts_to_obj(parts))
     edit(jaw_urdf, BOX, '<mesh filename="pad.obj"/>')
-    return [hollow.link for hollow in hollow_meshes(read_urdf(jaw_urdf))]
+    return [link for link, _ in hollow_meshes(read_urdf(jaw_urdf))]
 
 
 def test_grooves_between_the_teeth_of_one_part_are_filled(jaw_urdf, edit):
