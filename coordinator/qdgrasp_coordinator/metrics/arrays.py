@@ -49,7 +49,8 @@ def real_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> 
         raise InputError(f"{name} must be {expected}; {error}.") from None
     if array.dtype.kind not in REAL:
         raise InputError(f"{name} must be {expected}, and its type is {array.dtype}.")
-    if not _fits(array.shape, shape):
+    pairs = zip(array.shape, shape, strict=False)
+    if array.ndim != len(shape) or not all(isinstance(length, str) or length == n for n, length in pairs):
         raise ImpossibleValue(name, array.shape, expected)
     return array.astype(np.float64)
 
@@ -60,12 +61,6 @@ def finite_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -
     if not np.isfinite(array).all():
         raise InputError(f"{name} holds a number that is not finite.")
     return array
-
-
-def _fits(came: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
-    return len(came) == len(wanted) and all(
-        isinstance(length, str) or length == n for n, length in zip(came, wanted, strict=True)
-    )
 
 
 def row_bytes(rows: Rows) -> NDArray[np.void]:

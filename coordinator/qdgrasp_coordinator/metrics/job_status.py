@@ -11,7 +11,7 @@ from typing import Annotated, Literal, TypeVar, get_type_hints
 import msgspec
 from msgspec import Meta, Struct, structs
 
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals, described
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import shorten
 from qdgrasp_protocol.spec import RunSpec
@@ -23,23 +23,22 @@ RUNS_PER_PAGE = 256  # The most entries in one answer
 class RunListing(RunTotals, frozen=True, kw_only=True):
     """Identity of a run, and what its rows add up to: in progress, or in a job's folder."""
 
-    run: Annotated[str, described("Its name in its job.")]
-    gripper: Annotated[str, described("As the spec names it: built in, or a file.")]
-    object: Annotated[str, described("As the spec names it: built in, on the asset path, or a file.")]
-    method: Annotated[str, described("The search with its prior.")]
-    protocol: Annotated[str, described("The evaluation protocol.")]
-    seed: Annotated[int, described("Of the search.")]
-    scene: Annotated[str, described("sha256 of the scene bundle.")]
-    budget: Annotated[int, described("Counted evaluations after which it is over.")]
-    rows: Annotated[int, described("Journal rows: genomes and trials.")]
+    run: Annotated[str, "Its name in its job."]
+    gripper: Annotated[str, "As the spec names it: built in, or a file."]
+    object: Annotated[str, "As the spec names it: built in, on the asset path, or a file."]
+    method: Annotated[str, "The search with its prior."]
+    protocol: Annotated[str, "The evaluation protocol."]
+    seed: Annotated[int, "Of the search."]
+    scene: Annotated[str, "sha256 of the scene bundle."]
+    budget: Annotated[int, "Counted evaluations after which it is over."]
+    rows: Annotated[int, "Journal rows: genomes and trials."]
     outcomes: Annotated[
         dict[str, int],
-        described("Genomes by how their nominal evaluation ended: each `Outcome` by its name in lower case."),
+        "Genomes by how their nominal evaluation ended: each `Outcome` by its name in lower case.",
     ]
-    finished: Annotated[str, described("Why the run is over, in words; empty while it is not.")] = ""
+    finished: Annotated[str, "Why the run is over, in words; empty while it is not."] = ""
     folder: Annotated[
-        str,
-        described("Its folder on the recorder's machine, absolute; empty where a coordinator tells of it."),
+        str, "Its folder on the recorder's machine, absolute; empty where a coordinator tells of it."
     ] = ""
 
     @classmethod
@@ -64,17 +63,15 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
 class RunListings(Struct, frozen=True, kw_only=True):
     """Runs in a job's folder, also finished ones, by name. JSON, the answer on `rec/runs`."""
 
-    runs: Annotated[list[RunListing], described("Those whose rows are counted.")]
-    next: Annotated[
-        int, described("Ask with `from=<next>` for the runs behind these; 0: there are none.")
-    ] = 0
+    runs: Annotated[list[RunListing], "Those whose rows are counted."]
+    next: Annotated[int, "Ask with `from=<next>` for the runs behind these; 0: there are none."] = 0
     uncounted: Annotated[
-        int, described("Runs left out because their rows are still being counted: ask again in a while.")
+        int, "Runs left out because their rows are still being counted: ask again in a while."
     ] = 0
-    host: Annotated[str, described("The recorder's machine.")] = ""
+    host: Annotated[str, "The recorder's machine."] = ""
     curve: Annotated[
         GrowthCurve | None,
-        described(
+        (
             "How the one run grew that was asked for; "
             "None where all were, or where its rows are not all there."
         ),
@@ -90,23 +87,21 @@ EventKind = Literal["job", "run", "worker", "recorder", "trouble", "error"]
 class JobEvent(Struct, frozen=True, kw_only=True):
     """Something that happened. Travels as JSON on `event/<kind>`."""
 
-    number: Annotated[int, described("Counts the events of one coordinator process, from 1.")]
-    at: Annotated[datetime, Meta(tz=True, description="When.")]
+    number: Annotated[int, "Counts the events of one coordinator process, from 1."]
+    at: Annotated[datetime, Meta(tz=True), "When."]
     kind: Annotated[
         EventKind,
-        described(
-            "job, run, worker, recorder; trouble keeps a job from going on; error: a row or run is given up."
-        ),
+        "job, run, worker, recorder; trouble keeps a job from going on; error: a row or run is given up.",
     ]
-    words: Annotated[str, described("What, in a sentence for a person.")]
-    run: Annotated[str, described("Which run it is about; empty: none.")] = ""
-    worker: Annotated[str, described("Which worker (its `wid`) it is about; empty: none.")] = ""
+    words: Annotated[str, "What, in a sentence for a person."]
+    run: Annotated[str, "Which run it is about; empty: none."] = ""
+    worker: Annotated[str, "Which worker (its `wid`) it is about; empty: none."] = ""
 
 
 class JobEvents(Struct, frozen=True, kw_only=True):
     """Latest events, eldest first, at most `EVENTS_KEPT`. JSON, the answer to `event/recent`."""
 
-    events: Annotated[list[JobEvent], described("At most 200, eldest first.")]
+    events: Annotated[list[JobEvent], "At most 200, eldest first."]
 
 
 WORKERS_PER_PAGE = 64  # The most workers on one page
@@ -115,27 +110,23 @@ WORKERS_PER_PAGE = 64  # The most workers on one page
 class WorkerStatus(Struct, frozen=True, kw_only=True):
     """A worker of a job, as the coordinator sees it."""
 
-    wid: Annotated[str, described("Its id: 32 hexadecimal digits, new at every start.")]
-    host: Annotated[str, described("Where it runs.")]
-    pid: Annotated[int, described("Of its process.")]
+    wid: Annotated[str, "Its id: 32 hexadecimal digits, new at every start."]
+    host: Annotated[str, "Where it runs."]
+    pid: Annotated[int, "Of its process."]
     state: Annotated[
-        str,
-        described('"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone".'),
+        str, '"working", "idle", "stuck" (it let a lease pass), "leaving" (it is drained) or "gone".'
     ]
-    batches: Annotated[int, described("Batches that it holds.")]
-    rows: Annotated[int, described("Rows that it has settled.")]
+    batches: Annotated[int, "Batches that it holds."]
+    rows: Annotated[int, "Rows that it has settled."]
     rate: Annotated[
-        float, described("Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s].")
+        float, "Rows that it settled lately: a mean in which what is 10 s ago weighs 1 / e [1/s]."
     ]
-    seconds: Annotated[float, described("Since it joined [s].")]
-    seen: Annotated[float, described("Since it was heard of last, by a sign, a result or a join [s].")]
+    seconds: Annotated[float, "Since it joined [s]."]
+    seen: Annotated[float, "Since it was heard of last, by a sign, a result or a join [s]."]
     memory: Annotated[
-        int,
-        described(
-            "What it and its simulator have of the memory, as it said last [bytes]; 0: it has not said."
-        ),
+        int, "What it and its simulator have of the memory, as it said last [bytes]; 0: it has not said."
     ]
-    restarts: Annotated[int, described("How often it has started its simulator again.")]
+    restarts: Annotated[int, "How often it has started its simulator again."]
 
 
 class WorkersPage(Struct, frozen=True, kw_only=True):
@@ -144,15 +135,13 @@ class WorkersPage(Struct, frozen=True, kw_only=True):
     A worker that is gone stays on it for a minute.
     """
 
-    page: Annotated[int, described("Counted from 0.")]
+    page: Annotated[int, "Counted from 0."]
     pages: Annotated[
-        int, described("How many there are; those of a higher number, shown before, are not valid any more.")
+        int, "How many there are; those of a higher number, shown before, are not valid any more."
     ]
     workers: Annotated[
         list[WorkerStatus],
-        described(
-            "At most 64, in the order in which they joined; those that are gone stand last, for a minute."
-        ),
+        "At most 64, in the order in which they joined; those that are gone stand last, for a minute.",
     ]
 
 
@@ -160,12 +149,9 @@ class WorkersPage(Struct, frozen=True, kw_only=True):
 def meanings(kind: type[Struct]) -> dict[str, str]:
     """Return the docstring of each field of a struct, of its bases too, each in one line."""
     hints = get_type_hints(kind, include_extras=True)
-    return {
-        field: meta.description
-        for field, hint in hints.items()
-        for meta in getattr(hint, "__metadata__", ())
-        if isinstance(meta, Meta) and meta.description
-    }
+    noted = {field: getattr(hint, "__metadata__", ()) for field, hint in hints.items()}
+    words = ((field, getattr(note, "description", note)) for field, notes in noted.items() for note in notes)
+    return {field: text for field, text in words if isinstance(text, str)}
 
 
 GREATEST_COUNT = 2**63  # Greatest number allowed in a published struct
@@ -176,13 +162,11 @@ STARTUP_SECONDS = 30.0  # seconds in which a job that has no recorder yet is tak
 class RunStatus(RunListing, frozen=True, kw_only=True):
     """Progress of a run. Travels as JSON on `stat/run/<run>`."""
 
-    workers: Annotated[int, described("Workers of the job that are there, and make progress.")]
-    durable: Annotated[int, described("Rows that the recorder reports to be on disk.")]
-    seconds: Annotated[float, described("Since the coordinator opened the run [s].")]
-    rate: Annotated[float, described("Counted evaluations since then, replayed ones apart [1/s].")]
-    trouble: Annotated[
-        str, described("What keeps the run from going on, in words; empty when nothing does.")
-    ] = ""
+    workers: Annotated[int, "Workers of the job that are there, and make progress."]
+    durable: Annotated[int, "Rows that the recorder reports to be on disk."]
+    seconds: Annotated[float, "Since the coordinator opened the run [s]."]
+    rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]
+    trouble: Annotated[str, "What keeps the run from going on, in words; empty when nothing does."] = ""
 
     @property
     def remaining(self) -> int:
@@ -203,46 +187,34 @@ class RunStatus(RunListing, frozen=True, kw_only=True):
 class JobStatus(RunTotals, frozen=True, kw_only=True):
     """Progress of a job with all of its runs. Travels as JSON on `stat/job`."""
 
-    job: Annotated[str, described("Its name.")]
-    runs: Annotated[int, described("Of the job, begun or not.")]
-    runs_done: Annotated[int, described("Finished and recorded, also by earlier coordinators.")]
-    runs_failed: Annotated[int, described("Which cannot be carried out.")]
-    runs_open: Annotated[int, described("In progress.")]
-    budget: Annotated[int, described("Counted evaluations after which all runs are over.")]
+    job: Annotated[str, "Its name."]
+    runs: Annotated[int, "Of the job, begun or not."]
+    runs_done: Annotated[int, "Finished and recorded, also by earlier coordinators."]
+    runs_failed: Annotated[int, "Which cannot be carried out."]
+    runs_open: Annotated[int, "In progress."]
+    budget: Annotated[int, "Counted evaluations after which all runs are over."]
     remaining: Annotated[
         int,
-        described(
-            "Counted evaluations that runs which are not over may still take; "
-            "those that end early take fewer."
-        ),
+        ("Counted evaluations that runs which are not over may still take; those that end early take fewer."),
     ]
     waiting: Annotated[
-        int, described("Settled rows that are not known to be on disk: how far the recorder is behind.")
+        int, "Settled rows that are not known to be on disk: how far the recorder is behind."
     ] = 0
     requeued: Annotated[
-        int,
-        described("Batches that were queued again, as their worker was lost, in this coordinator's turn."),
+        int, "Batches that were queued again, as their worker was lost, in this coordinator's turn."
     ] = 0
     strays: Annotated[
-        int,
-        described(
-            "Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."
-        ),
+        int, "Results that were dropped in this turn: late, duplicate, unknown, or of somebody else's batch."
     ] = 0
-    workers: Annotated[int, described("Workers that are there, and make progress.")]
-    seconds: Annotated[float, described("Since the coordinator started [s].")]
-    rate: Annotated[float, described("Counted evaluations since then, replayed ones apart [1/s].")]
-    trouble: Annotated[
-        str, described("What keeps the job from going on, in words; empty when nothing does.")
-    ] = ""
+    workers: Annotated[int, "Workers that are there, and make progress."]
+    seconds: Annotated[float, "Since the coordinator started [s]."]
+    rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]
+    trouble: Annotated[str, "What keeps the job from going on, in words; empty when nothing does."] = ""
     state: Annotated[
         str,
-        described(
-            '"starting" (no recorder has answered yet), "running", "paused", "ending", '
-            'or at last "cancelled".'
-        ),
+        ('"starting" (no recorder has answered yet), "running", "paused", "ending", or at last "cancelled".'),
     ] = "running"
-    recorders: Annotated[int, described("Recorders of this job that are there.")] = 0
+    recorders: Annotated[int, "Recorders of this job that are there."] = 0
 
     @property
     def words(self) -> str:
@@ -281,19 +253,15 @@ class JobStatus(RunTotals, frozen=True, kw_only=True):
 class JobMeta(Struct, frozen=True, kw_only=True):
     """Identity of a job and its coordinator. JSON on `meta` when a coordinator's epoch begins."""
 
-    job: Annotated[str, described("Its name.")]
-    epoch: Annotated[
-        int, described("The coordinator's turn; 0 before it has one: no recorder has answered yet.")
-    ]
-    since: Annotated[datetime, Meta(tz=True, description="When this coordinator started.")]
-    host: Annotated[str, described("The coordinator's.")]
-    pid: Annotated[int, described("Of the coordinator's process.")]
-    version: Annotated[str, described("Of qdgrasp.")]
-    runs: Annotated[int, described("Of the job, begun or not.")]
-    budget: Annotated[int, described("Counted evaluations after which all runs are over.")]
-    identity: Annotated[
-        str, described("What tells the job from another one of its name; empty: it is not known.")
-    ] = ""
+    job: Annotated[str, "Its name."]
+    epoch: Annotated[int, "The coordinator's turn; 0 before it has one: no recorder has answered yet."]
+    since: Annotated[datetime, Meta(tz=True), "When this coordinator started."]
+    host: Annotated[str, "The coordinator's."]
+    pid: Annotated[int, "Of the coordinator's process."]
+    version: Annotated[str, "Of qdgrasp."]
+    runs: Annotated[int, "Of the job, begun or not."]
+    budget: Annotated[int, "Counted evaluations after which all runs are over."]
+    identity: Annotated[str, "What tells the job from another one of its name; empty: it is not known."] = ""
 
 
 def _share_done(evaluations: int, remaining: int) -> float:

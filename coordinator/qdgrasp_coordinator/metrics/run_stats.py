@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Annotated, Self
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.arrays import take_rows
@@ -22,30 +22,23 @@ from qdgrasp_protocol.text import counted
 CURVE_POINTS = 512  # The most points of a curve
 
 
-def described(words: str) -> Meta:
-    """Return the description of a published field."""
-    return Meta(description=words)
-
-
 class CurvePoint(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
-    evaluations: Annotated[int, described("Counted evaluations.")]
-    proposals: Annotated[int, described("Poses that decoding screened, simulated or not.")]
-    successes: Annotated[int, described("A finger touches the object after closing.")]
-    cells: Annotated[int, described("Distinct 1 cm cells with a success.")]
-    robust: Annotated[int, described("Successes that survived both shakes: fitness 2.")]
+    evaluations: Annotated[int, "Counted evaluations."]
+    proposals: Annotated[int, "Poses that decoding screened, simulated or not."]
+    successes: Annotated[int, "A finger touches the object after closing."]
+    cells: Annotated[int, "Distinct 1 cm cells with a success."]
+    robust: Annotated[int, "Successes that survived both shakes: fitness 2."]
 
 
 class GrowthCurve(Struct, frozen=True, kw_only=True):
     """Growth of a run's counts. JSON, the answer to a query on `stat/curve/<run>`."""
 
-    run: Annotated[str, described("Its name in its job.")]
+    run: Annotated[str, "Its name in its job."]
     points: Annotated[
         list[CurvePoint],
-        described(
-            "At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust."
-        ),
+        "At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust.",
     ]
 
 
@@ -73,22 +66,19 @@ class CurveRecorder:
 class RunTotals(Struct, frozen=True, kw_only=True):
     """Counts of a run or, summed, of a job; the first part of all structs that show them."""
 
-    evaluations: Annotated[int, described("Counted evaluations.")]
-    simulated: Annotated[int, described("Genomes whose hand closed.")]
-    proposals: Annotated[int, described("Poses that decoding screened, simulated or not.")]
+    evaluations: Annotated[int, "Counted evaluations."]
+    simulated: Annotated[int, "Genomes whose hand closed."]
+    proposals: Annotated[int, "Poses that decoding screened, simulated or not."]
     overlaps: Annotated[
-        int,
-        described(
-            "Genomes whose open hand overlapped the object; where a genome has candidates, all of them."
-        ),
+        int, "Genomes whose open hand overlapped the object; where a genome has candidates, all of them."
     ]
-    dead_ends: Annotated[int, described("Genomes for which there was no pose, or none worth a simulation.")]
-    successes: Annotated[int, described("A finger touches the object after closing.")]
-    grasps: Annotated[int, described("Successes that survived a shake: fitness 1 or more.")]
-    robust: Annotated[int, described("Successes that survived both shakes: fitness 2.")]
-    errors: Annotated[int, described("Rows on which the simulator failed three times, trials included.")]
-    cells: Annotated[int, described("Distinct 1 cm cells with a success; of a job their sum over its runs.")]
-    trials: Annotated[int, described("Rows that are trials of successes; 0 where no protocol has them.")]
+    dead_ends: Annotated[int, "Genomes for which there was no pose, or none worth a simulation."]
+    successes: Annotated[int, "A finger touches the object after closing."]
+    grasps: Annotated[int, "Successes that survived a shake: fitness 1 or more."]
+    robust: Annotated[int, "Successes that survived both shakes: fitness 2."]
+    errors: Annotated[int, "Rows on which the simulator failed three times, trials included."]
+    cells: Annotated[int, "Distinct 1 cm cells with a success; of a job their sum over its runs."]
+    trials: Annotated[int, "Rows that are trials of successes; 0 where no protocol has them."]
 
     @property
     def found(self) -> str:

@@ -42,10 +42,7 @@ class TrialSums:
         found["fitness"] = 0
         waiting = found if self._waiting is None else np.concatenate([self._waiting, found])
         self._seen = np.concatenate([self._seen, np.zeros(len(found), np.int64)])
-        return self._add(waiting, rows[rows["trial"] > 0])
-
-    def _add(self, waiting: Rows, trials: Rows) -> Rows:
-        """Add trials to the sums, and return the successes that have all of theirs."""
+        trials = rows[rows["trial"] > 0]
         place = np.searchsorted(genome_numbers(waiting), genome_numbers(trials))
         np.add.at(waiting["fitness"], place, trials["fitness"])
         np.add.at(self._seen, place, 1)
@@ -111,13 +108,5 @@ def best_first(rows: Rows, scores: NDArray[np.floating] | None = None) -> NDArra
     not known is NaN, which is worse than any.
     """
     known = np.zeros(len(rows)) if scores is None else np.nan_to_num(scores, nan=-1.0)
-    return np.lexsort(
-        (
-            rows["index"],
-            rows["generation"],
-            -rows["contacts"].astype(np.int64),
-            rows["penetration"],
-            -rows["fitness"],
-            -known,
-        )
-    )
+    elder_last, contacts = (rows["index"], rows["generation"]), rows["contacts"].astype(np.int64)
+    return np.lexsort((*elder_last, -contacts, rows["penetration"], -rows["fitness"], -known))

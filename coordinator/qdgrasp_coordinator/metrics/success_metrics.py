@@ -73,7 +73,7 @@ class ArchiveGrowth:
 
 def archive_growth(rows: Rows, overlaps: Overlaps = "count") -> ArchiveGrowth:
     """Sum along rows in journal order; trials above 0 add nothing."""
-    success = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
+    success = success_mask(rows)
     places = np.flatnonzero(success)
     new = np.zeros(len(rows), dtype=bool)
     new[places] = first_occurrences(cell_keys(cells(rows["descriptor"][places, :3])))
@@ -304,19 +304,11 @@ def diversity(archive: NicheArchive) -> Diversity:
     """Count the niches of an archive."""
     elites = archive.elites
     keys: NicheKeys = elites["niche"]
-    cells = _count_distinct(cell_of(keys))
+    cells = len(np.unique(cell_of(keys)))
     return Diversity(
         niches=len(keys),
-        grasp_niches=_count_at_least(elites, Outcome.SHAKEN),
-        robust_niches=_count_at_least(elites, Outcome.HELD),
-        orientations=_count_distinct(without_synergy(keys)) / cells if cells else None,
-        synergies=_count_distinct(without_orientation(keys)) / cells if cells else None,
+        grasp_niches=int(np.count_nonzero(elites["outcome"] >= Outcome.SHAKEN)),
+        robust_niches=int(np.count_nonzero(elites["outcome"] >= Outcome.HELD)),
+        orientations=len(np.unique(without_synergy(keys))) / cells if cells else None,
+        synergies=len(np.unique(without_orientation(keys))) / cells if cells else None,
     )
-
-
-def _count_at_least(elites: NDArray[np.void], outcome: Outcome) -> int:
-    return int(np.count_nonzero(elites["outcome"] >= outcome))
-
-
-def _count_distinct(keys: NicheKeys) -> int:
-    return len(np.unique(keys))

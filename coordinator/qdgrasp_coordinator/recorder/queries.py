@@ -165,10 +165,11 @@ def summary_listing(journal: Journal) -> RunListing:
 SCENES_KEPT = 8  # Number of scenes kept in memory
 
 
-class QueryServer:
+class QueryServer(ExitStack):
     """Answers `rec/runs`, `rec/finds` and `rec/asset` of a job's folder (docs/bus.md)."""
 
     def __init__(self, bus: Bus, job: str, path: Path) -> None:
+        super().__init__()
         self._bus = bus
         self._keys = Keys(job)
         self._path = path
@@ -177,7 +178,6 @@ class QueryServer:
         self._lock = threading.Lock()
         self._scenes: OrderedDict[str, bytes] = OrderedDict()  # by digest, in the order of their queries
         self._homes: dict[str, Path] = {}  # run folders in which scenes were seen
-        self._subscriptions = ExitStack()
 
     def __enter__(self) -> Self:
         for pattern, answer in (
@@ -185,11 +185,8 @@ class QueryServer:
             (self._keys.finds, self.finds),
             (self._keys.recorded_asset(), self.scene),
         ):
-            self._subscriptions.enter_context(self._bus.answer(pattern, answer))
+            self.enter_context(self._bus.answer(pattern, answer))
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._subscriptions.close()
 
     def entries(self, query: Query) -> bytes:
         """Return the runs from number `from` on, or the run `run` alone with its curve."""

@@ -17,19 +17,19 @@ from qdgrasp_protocol.spec import RunSpec, differences, from_toml, to_toml
 JOB_KINDS = ("a run of its own", "a campaign")
 
 
-class LockedJobFolder:
+class LockedJobFolder(ExitStack):
     """A job's folder, there or to be created; a context manager that holds its lock.
 
     A `FolderError` says that it is another job's, in use, holds other files, or cannot be read.
     """
 
     def __init__(self, path: Path, job: str) -> None:
+        super().__init__()
         self.job = job
         self.folder = JobFolder(path)
         self.epoch = 0
         """Epoch of the coordinator whose rows are taken; `store_epoch` writes it."""
         self.is_begun = False
-        self._lock = ExitStack()
         self._lock_existing()
 
     def check(self, asked: Open) -> None:
@@ -70,12 +70,6 @@ class LockedJobFolder:
         """The folders of all runs that are there."""
         return self.folder.run_paths if self.is_begun else []
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.close()
-
     def _lock_existing(self) -> None:
         """Lock the job that is in the folder, if there is one."""
         folder = self.folder
@@ -89,7 +83,7 @@ class LockedJobFolder:
         self._take_lock()
 
     def _take_lock(self) -> None:
-        self._lock.enter_context(self.folder.lock())
+        self.enter_context(self.folder.lock())
         self.is_begun = True
         self.epoch = max(self.epoch, self.folder.epoch)
 

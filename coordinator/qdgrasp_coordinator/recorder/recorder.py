@@ -154,8 +154,6 @@ class Recorder:
         """Epoch of the coordinator whose rows are taken."""
         return self._folder.epoch
 
-    # Messages and queries.
-
     def take(self, sample: Sample, now: float) -> None:
         """Process a message; ignore those of other kinds."""
         try:
@@ -216,8 +214,6 @@ class Recorder:
         shape = writer.identity.shape
         limit = min(asked.limit, MOST_PAGE_ITEMS // max(shape.genes, shape.joints, shape.descriptors, 7))
         return slice_to_message(writer.journal.slice(asked.first, limit), asked.run, self.epoch, shape)
-
-    # Opening of runs.
 
     def open(self, asked: Open) -> Opened:
         """Open runs for a coordinator, all or none; missing folders and journals are created.
@@ -312,8 +308,6 @@ class Recorder:
                 self._without_scene[run] = writer
         return self.writers.get(run)
 
-    # Commits and reports.
-
     @property
     def deadline(self) -> float:
         """When `step` has something to do if nothing comes before; infinite: never."""
@@ -383,8 +377,6 @@ class Recorder:
     def _report(self, run: str) -> Recorded:
         durable, trouble = self.writers[run].durable, self._disk.trouble
         return Recorded(epoch=self.epoch, run=run, durable=durable, trouble=trouble)
-
-    # Scenes.
 
     @property
     def missing_scenes(self) -> list[str]:

@@ -33,22 +33,10 @@ MOST_WAIT = 0.5  # seconds that the inbox is waited for, at most
 class CoordinatorService:
     """Carries out the runs of a job, each from its start or the end of its journal.
 
-    Parameters
-    ----------
-    bus
-        An open session.
-    job
-        The job's name.
-    queue
-        The runs. As many are carried out at once as keep the workers busy.
-    make_sink
-        Makes the sink that takes a run's rows.
-    batch_size
-        Rows in a batch; None: measured.
-    seconds
-        After so long leases are withdrawn, what was found is recorded, and `run` returns; None: never.
-    paused
-        True: nothing is handed out until a command continues the job.
+    As many runs of the queue are carried out at once as keep the workers busy; `make_sink` makes the sink
+    that takes a run's rows. A batch has `batch_size` rows; None: measured. After `seconds` leases are
+    withdrawn, what was found is recorded, and `run` returns; None: never. If `paused`, nothing is handed out
+    until a command continues the job.
     """
 
     def __init__(

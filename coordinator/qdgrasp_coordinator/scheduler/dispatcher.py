@@ -136,8 +136,6 @@ class Dispatcher:
         """Number of dropped results: late, duplicate, unknown or foreign."""
         return sum(self.counters[kind.value] for kind in Settlement if kind is not Settlement.FRESH)
 
-    # Leasing.
-
     def leases(self, now: float) -> list[Lease]:
         """Lease what is queued to workers with credit left; send them in this order."""
         leases: list[Lease] = []
@@ -190,8 +188,6 @@ class Dispatcher:
         state = self._batches.find(batch_id)
         is_own = state is not None and wid in state.leased and state.holder in (None, wid)
         return state if is_own else None
-
-    # Settling.
 
     def settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
         """Settle a result: the first of a batch counts, if its sender was leased the batch.

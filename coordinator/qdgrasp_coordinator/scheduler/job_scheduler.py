@@ -7,7 +7,7 @@ and outboxes decide for themselves; here stands which event goes to which of the
 
 import os
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from math import inf
 
@@ -41,7 +41,6 @@ from qdgrasp_protocol.errors import (
 from qdgrasp_protocol.keys import Keys, last_chunk, parse_number
 from qdgrasp_protocol.messages import (
     Control,
-    Failure,
     Heartbeat,
     Join,
     Joined,
@@ -65,12 +64,13 @@ class EarlyStop:
     """Reason of a requested end; None: not requested."""
 
     def __init__(self, seconds: float | None, now: float) -> None:
-        self._due_at = inf if seconds is None else now + seconds
+        self.deadline = inf if seconds is None else now + seconds
+        """When it is to begin by itself; infinite: never, or it has begun."""
         self._began: float | None = None
 
     def begin(self, now: float, reason: EndedEarly | None = None) -> None:
         """Begin the ending: no more work is asked or handed out."""
-        self._began, self.reason = now, reason
+        self._began, self.reason, self.deadline = now, reason, inf
 
     @property
     def has_begun(self) -> bool:
@@ -79,18 +79,13 @@ class EarlyStop:
 
     def is_due(self, now: float) -> bool:
         """True if it is to begin by itself now."""
-        return self._began is None and now >= self._due_at
+        return now >= self.deadline
 
     def is_over(self, now: float, *, is_safe: bool) -> bool:
         """True if the job may end now; `is_safe`: all results are recorded."""
         if self._began is None:
             return False
         return now >= self._began + (LEAST_STOP_SECONDS if is_safe else MOST_STOP_SECONDS)
-
-    @property
-    def deadline(self) -> float:
-        """When it is to begin by itself; infinite: never, or it has begun."""
-        return inf if self._began is not None else self._due_at
 
 
 log = structlog.get_logger()
@@ -145,8 +140,6 @@ class JobScheduler:
         self.workers = WorkerRegistry()
         self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size)
 
-    # Events.
-
     def handle(self, event: InboxEvent, now: float) -> None:
         """Process an event, but for administrators' commands; TookOver if another coordinator did."""
         match event:
@@ -191,17 +184,13 @@ class JobScheduler:
         if settled.kind is not Settlement.FRESH or settled.rows is None:
             return
         self.workers.on_settled(wid, result.n, now)
-        self._note_failures(run.name, wid, settled.failures)
+        if failures := settled.failures:
+            rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
+            words = f"{rows_of} given up after {STRIKES} tries: {failures[0].reason}."
+            self.events.note("error", words, run=run.name, worker=wid)
         run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
         if run.pipeline.finished is not None:
             self._withdraw(run.name)
-
-    def _note_failures(self, run: str, wid: str, failures: Sequence[Failure]) -> None:
-        """Note that rows were given up."""
-        if failures:
-            rows = f"{counted(len(failures), 'row')} of run '{run}'"
-            words = f"{rows} given up after {STRIKES} tries: {failures[0].reason}."
-            self.events.note("error", words, run=run, worker=wid)
 
     def _on_recorded(self, report: Recorded, now: float) -> None:
         """Note the durable rows; reopen a run whose recorder lost some."""
@@ -232,8 +221,6 @@ class JobScheduler:
             self.events.note("recorder", words)
         for run in self.runs if alive else ():
             run.sink.on_recorder_up(now)
-
-    # Runs are opened and end.
 
     def _on_opened(self, run: ActiveRun, opened: Opened) -> None:
         """Add a run that is open, unless its rows were made on another platform."""
@@ -277,8 +264,6 @@ class JobScheduler:
         for wid, batches in self.dispatcher.withdraw(run).items():
             self._drop(wid, batches)
 
-    # Workers join and are lost.
-
     def _on_join(self, join: Join, answer: "Future[bytes]", now: float) -> None:
         """Answer a worker that asks to join; the first one sets the platform of the rows."""
         platform, is_new = self.workers.platform, self.workers.get(join.wid) is None
@@ -315,8 +300,6 @@ class JobScheduler:
     def _send_away(self, wid: str) -> None:
         self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drain=True), Channel.CONTROL)
 
-    # Steps.
-
     def step(self, now: float) -> None:
         """Do all that is possible now: give up workers, ask, record, lease, end and open runs."""
         for lost in self.workers.overdue(now):
@@ -340,8 +323,6 @@ class JobScheduler:
         """Return when `step` has something to do if nothing happens; infinite: never."""
         return min(self.workers.next_deadline(), self.stopping.deadline)
 
-    # Ending early.
-
     @property
     def is_ending(self) -> bool:
         """True: nothing is asked or leased; what was found is still recorded."""
@@ -358,10 +339,11 @@ class JobScheduler:
         is_safe = self.is_ending and all(run.sink.is_empty for run in self.runs)
         return self.stopping.is_over(now, is_safe=is_safe)
 
-    # Commands: they decide when and where rows are evaluated, and have no say in what a run finds.
-
     def obey(self, order: Order, now: float) -> str:
-        """Carry an administrator's command out; returns what happened, or raises Refused."""
+        """Carry an administrator's command out; returns what happened, or raises Refused.
+
+        Commands decide when and where rows are evaluated, and have no say in what a run finds.
+        """
         if self.is_ending:
             raise Refused(f"job '{self.job}' is ending already")
         match order.act:
@@ -383,11 +365,8 @@ class JobScheduler:
         if self.is_paused:
             return f"Job '{self.job}' is paused already; `qdgrasp continue {self.job}` has it go on."
         self.is_paused = True
-        out = counted(
-            sum(len(worker.batches) for worker in self.workers),
-            "batch that is out still counts",
-            "batches that are out still count",
-        )
+        held = sum(len(worker.batches) for worker in self.workers)
+        out = counted(held, "batch that is out still counts", "batches that are out still count")
         return f"Job '{self.job}' is paused: nothing is handed out; {out}."
 
     def _drain(self, order: Order) -> str:
@@ -396,10 +375,8 @@ class JobScheduler:
         for worker in chosen:
             self.workers.drain(worker.wid)
             self._send_away(worker.wid)
-        number = f"{len(chosen)} worker{'s' if len(chosen) > 1 else ''}"
+        number = counted(len(chosen), "worker")
         return f"Asked {number} of job '{self.job}' to finish the batches at hand and leave."
-
-    # Status.
 
     @property
     def state(self) -> str:

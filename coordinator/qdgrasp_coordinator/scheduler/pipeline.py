@@ -210,24 +210,12 @@ class Pipeline:
 
     Generation g is asked of the search at the moment when generation g - `generations_in_flight` has been
     told, neither earlier nor later, so that a slow coordinator asks the same genomes as a fast one; `ask`
-    only hands out what is there.
+    only hands out what is there. Nothing has been asked of the search before.
 
-    Parameters
-    ----------
-    search
-        A search that nothing has been asked of.
-    shape
-        The shape of the run's rows.
-    evaluations
-        The budget: the run ends with the nominal row that reaches it in journal order, and the trials of
-        its generation's rows up to that one. Later rows of that generation are not journalled, and that
-        generation is not told.
-    overlaps
-        Whether overlaps count.
-    trials
-        How many trials each nominal success has; its fitness is then the sum over them.
-    goals
-        What ends the run before its budget is spent, in the same manner.
+    The run ends with the nominal row that reaches the budget, `evaluations`, in journal order, and the trials
+    of its generation's rows up to that one. Later rows of that generation are not journalled, and that
+    generation is not told. `goals` end the run earlier in the same manner. Each nominal success has `trials`
+    trials; its fitness is then the sum over them.
     """
 
     def __init__(
@@ -272,7 +260,7 @@ class Pipeline:
         final; `failures` are the reasons of rows with `Outcome.ERROR`, by their place in `rows`.
         """
         self._cpu_seconds += cpu_seconds
-        self._reasons |= _by_key(rows, failures)
+        self._reasons |= {_key(rows[failure.row]): failure.reason for failure in failures}
         if self.finished is None:
             self._put(rows)
         return self._advance()
@@ -356,8 +344,3 @@ class Pipeline:
 
 def _key(row: np.void) -> tuple[int, int, int]:
     return int(row["generation"]), int(row["index"]), int(row["trial"])
-
-
-def _by_key(rows: Rows, failures: Sequence[Failure]) -> dict[tuple[int, int, int], str]:
-    """The reasons of failures by the rows' keys."""
-    return {_key(rows[failure.row]): failure.reason for failure in failures}

@@ -178,7 +178,10 @@ class Outbox:
         when nothing else was reported for `DOUBT_SECONDS`.
         """
         if number < self.confirmed or number > self._end:
-            self._doubt(number, now)
+            if self._lower_since is None:
+                self._lower_since = now
+            elif now >= self._lower_since + DOUBT_SECONDS:
+                raise RecorderFellBack(number, self.confirmed, self._end)
             return
         self._lower_since = None
         if number > self.confirmed:
@@ -200,12 +203,6 @@ class Outbox:
         self._sent = max(self._sent, number)
         while self._kept and self._kept[0].stop <= number:
             self._kept.popleft()
-
-    def _doubt(self, number: int, now: float) -> None:
-        if self._lower_since is None:
-            self._lower_since = now
-        elif now >= self._lower_since + DOUBT_SECONDS:
-            raise RecorderFellBack(number, self.confirmed, self._end)
 
 
 REPLAY_ROWS = 2048  # Rows in one page of a replay

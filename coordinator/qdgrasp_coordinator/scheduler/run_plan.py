@@ -4,7 +4,7 @@ From what a user asks for to a run that can be carried out: spec, scene, search 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -62,14 +62,7 @@ class RunPlan:
     @property
     def open_request(self) -> OpenRun:
         """Message that opens the run at a recorder."""
-        return OpenRun(
-            run=self.run,
-            spec=self.spec,
-            scene=self.bundle.digest,
-            genes=self.shape.genes,
-            joints=self.shape.joints,
-            descriptors=self.shape.descriptors,
-        )
+        return OpenRun(run=self.run, spec=self.spec, scene=self.bundle.digest, **asdict(self.shape))
 
 
 @dataclass(frozen=True)

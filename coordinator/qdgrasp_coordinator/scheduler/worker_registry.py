@@ -236,8 +236,6 @@ class WorkerRegistry:
         """Return a worker; None: unknown."""
         return self._workers.get(wid)
 
-    # Joining and leaving.
-
     def join(self, join: Join, now: float) -> list[bytes] | None:
         """Admit a worker, or admit it again; the first one sets the platform of the rows.
 
@@ -301,8 +299,6 @@ class WorkerRegistry:
             worker.is_drained = True
             self._update(worker)
 
-    # Working.
-
     def hold(self, worker: Worker, batch_id: bytes, scene: str, now: float) -> None:
         """Record that a worker is leased a batch."""
         worker.hold(batch_id, scene, now)
@@ -340,8 +336,6 @@ class WorkerRegistry:
             [worker for worker in self._free.values() if not (worker.is_stuck and self._well)]
         )
 
-    # Giving up.
-
     def next_deadline(self) -> float:
         """Return the time before which no worker is overdue; infinite: never."""
         if self.lease_timeout.limit < self._limit:
@@ -376,10 +370,7 @@ class WorkerRegistry:
 
     def _update(self, worker: Worker) -> None:
         """Update the indexes after a worker has changed."""
-        if worker.is_well:
-            self._well.add(worker.wid)
-        else:
-            self._well.discard(worker.wid)
+        (self._well.add if worker.is_well else self._well.discard)(worker.wid)
         if worker.has_credit:
             self._free[worker.wid] = worker
         else:
@@ -390,8 +381,6 @@ class WorkerRegistry:
         """Recompute the next deadline with the present lease timeout."""
         self._limit = self.lease_timeout.limit
         self._earliest = min((worker.deadline(self._limit) for worker in self), default=inf)
-
-    # Figures.
 
     def pages(self, now: float) -> list[WorkersPage]:
         """Return all workers in pages, at least one; those that have just gone come last."""

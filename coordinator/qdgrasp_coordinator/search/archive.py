@@ -58,11 +58,6 @@ class EliteArchive:
         return len(self._grid)
 
     @property
-    def success_cells(self) -> int:
-        """Number of cells that hold a success."""
-        return int(np.count_nonzero(self._successful))
-
-    @property
     def elites(self) -> ArchiveElites:
         """All elites, by the number of their cells: the same archive gives the same order."""
         return ArchiveElites(self._places, self._successful.copy())

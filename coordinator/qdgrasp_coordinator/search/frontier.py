@@ -33,31 +33,23 @@ NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)
 
 
 class Frontier:
-    """All cells of a box, with what was tried in them.
+    """All cells of a box, enlarged to whole cells, with what was tried in them.
 
-    Every step costs what it concerns, never a pass over all cells: a large hand around a large object has
-    some 400 000.
-
-    Parameters
-    ----------
-    box
-        The box of positions, enlarged to whole cells.
-    reach
-        The greatest distance from the hand to the surface point that it looks at [m].
-    within
-        The least and the greatest distance [m] from a success's contact point of a cell to aim at.
+    `reach` is the greatest distance from the hand to the surface point that it looks at [m], `within` the
+    least and the greatest distance [m] from a success's contact point of a cell to aim at. Every step costs
+    what it concerns, never a pass over all cells: a large hand around a large object has some 400 000.
     """
 
     def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
-        self._shape = tuple(
-            (self._high - self._low + 3).tolist()
-        )  # one more on every side: no step leaves it
+        # One more cell on every side: no step leaves it.
+        self._shape = tuple((self._high - self._low + 3).tolist())
         size = int(np.prod(self._shape))
         self._around = NEIGHBOURS @ np.array([self._shape[1] * self._shape[2], self._shape[2], 1])
         self._tries = np.zeros(size, np.int32)
         self._dead_ends = np.zeros(size, np.int32)
-        self._successful = np.zeros(size, np.bool_)
+        self.successful = np.zeros(size, np.bool_)
+        """Flags, by place, of the cells that hold a success."""
         self._neighbours = np.zeros(size, np.uint8)
         self._distances = np.full(size, np.inf, np.float32)
         self._farthest = np.zeros(size, np.float32)
@@ -67,22 +59,13 @@ class Frontier:
         inside = np.zeros(self._shape, np.bool_)
         inside[1:-1, 1:-1, 1:-1] = True
         self._inside = inside.reshape(-1)
-        self._edge: Places = np.zeros(0, np.intp)
+        self.edge: Places = np.zeros(0, np.intp)
+        """The empty cells beside a success, those that became so first in front."""
 
     @property
     def size(self) -> int:
         """Number of places: the cells of the box, and those around it, which stay empty."""
         return len(self._tries)
-
-    @property
-    def edge(self) -> Places:
-        """The empty cells beside a success, those that became so first in front."""
-        return self._edge
-
-    @property
-    def successful(self) -> NDArray[np.bool_]:
-        """Flags, by place, of the cells that hold a success."""
-        return self._successful
 
     def places(self, positions: ArrayLike) -> Places:
         """The cell (n,) of each position (n, 3) [m]; -1 outside the box."""
@@ -114,11 +97,11 @@ class Frontier:
     def add_successes(self, places: Places, contacts: Floats) -> None:
         """Record successes in `places` (n,), in any order and repeated, at `contacts` (n, 3) [m]."""
         new, first = np.unique(places, return_index=True)
-        is_new = ~self._successful[new]
+        is_new = ~self.successful[new]
         new, contacts = new[is_new], contacts[first[is_new]]
         if not len(new):
             return
-        self._successful[new] = True
+        self.successful[new] = True
         around = self.around(new).ravel()
         ways = self.centres(around) - np.repeat(contacts, len(NEIGHBOURS), axis=0)
         distances = np.sqrt(dot(ways, ways)).astype(np.float32)
@@ -126,8 +109,8 @@ class Frontier:
         np.maximum.at(self._farthest, around, distances)
         touched = np.unique(around[(self._neighbours[around] == 0) & self._inside[around]])
         np.add.at(self._neighbours, around, 1)
-        edge = np.concatenate([self._edge, touched])
-        self._edge = edge[~self._successful[edge]]
+        edge = np.concatenate([self.edge, touched])
+        self.edge = edge[~self.successful[edge]]
 
     def features(self, places: Places) -> Floats:
         """Return the features (n, 4) of cells (n,) beside successes, known before they are tried.
@@ -151,7 +134,7 @@ class Frontier:
 
         Among equals `generator` draws.
         """
-        places, (least, greatest) = self._edge, self._within
+        places, (least, greatest) = self.edge, self._within
         if among is None:  # those that may be as far from a contact point as is wanted
             places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
         else:

@@ -58,50 +58,47 @@ PRIORS = {
 }
 
 
-@dataclass(frozen=True)
-class MethodFamily:
-    """Methods that search alike and differ in their prior."""
-
-    name: str
-    build: BuildSearch
-    summary: str
-    population: int = 500
-    """The paper's mu = lambda."""
-    check: CheckSpec = lambda _: None
-    priors: tuple[str, ...] = ("contact", "approach", "antipodal", "spherical")
-
-    def method(self, prior: str) -> Method:
-        """Return the method of this family with one prior."""
-        summary = f"{self.summary}, {PRIORS[prior].words} (Huber et al. 2024)."
-        name = PRIORS[prior].prefix + self.name
-        return Method(name, prior, self.build, self.check, "count", self.population, summary)
+def _family(
+    name: str,
+    build: BuildSearch,
+    words: str,
+    population: int = 500,
+    check: CheckSpec = lambda _: None,
+    priors: tuple[str, ...] = ("contact", "approach", "antipodal", "spherical"),
+) -> list[Method]:
+    """Return the methods of one search, one for each prior; 500 is the paper's mu = lambda."""
+    known = [(prior, PRIORS[prior].prefix + name, PRIORS[prior].words) for prior in priors]
+    return [
+        Method(full, prior, build, check, "count", population, f"{words}, {by} (Huber et al. 2024).")
+        for prior, full, by in known
+    ]
 
 
-FAMILIES = (
-    MethodFamily(
+PAPER = [
+    *_family(
         "rand",
         lambda spec, space: RandomSearch(spec.seed, spec.population, space.genes),
         "Uniform genomes",
         priors=("contact", "approach", "antipodal"),
     ),
-    MethodFamily(
+    *_family(
         "me_rand",
         lambda spec, space: MapElites(spec, space.genes, space.box, select_uniform),
         "MAP-Elites, parents uniform over the archive",
     ),
-    MethodFamily(
+    *_family(
         "me_scs",
         lambda spec, space: MapElites(spec, space.genes, space.box, select_successes),
         "MAP-Elites, successful elites first",
     ),
-    MethodFamily(
+    *_family(
         "cma_mae",
         lambda spec, space: cma_mae.CmaMae(spec, space.genes, space.box),
         "CMA-MAE, 15 evolution strategies",
         population=cma_mae.POPULATION,
         check=cma_mae.check,
     ),
-)
+]
 """The methods that Huber et al. 2024, section IV, compare; those without prefix: no prior."""
 AIMED = Method(
     "aimed",
@@ -113,7 +110,6 @@ AIMED = Method(
     "The default, this project's own: empty cells beside successes, with a neighbour's grasp.",
     generations_in_flight=2,
 )
-PAPER = [family.method(prior) for family in FAMILIES for prior in family.priors]
 METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
 """The first one is the default, as `RunSpec` has it."""
 SCORING = Method(

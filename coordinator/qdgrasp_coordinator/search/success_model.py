@@ -54,7 +54,8 @@ class LogisticRegression:
         self._features[places], self._successes[places] = features, successes
         self._seen += len(features)
         known = min(self._seen, EXAMPLES_KEPT)
-        if self._seen - self._fitted >= FIT_INTERVAL and _has_enough_of_both(self._successes[:known]):
+        found = int(np.count_nonzero(self._successes[:known]))
+        if self._seen - self._fitted >= FIT_INTERVAL and min(found, known - found) >= LEAST_EXAMPLES:
             self._fitted = self._seen
             features, successes = self._features[:known], self._successes[:known]
             precision = RIDGE * (_variances(features) if self._own_units else np.ones(len(self._start)))
@@ -96,11 +97,6 @@ def _likely(features: Floats, weights: Floats) -> Floats:
     return likely
 
 
-def _has_enough_of_both(successes: NDArray[np.bool_]) -> bool:
-    found = int(np.count_nonzero(successes))
-    return min(found, len(successes) - found) >= LEAST_EXAMPLES
-
-
 class CandidateRanker:
     """Logistic regression of success on the features that the prior `aimed` gives of its pose.
 
@@ -120,7 +116,7 @@ class CandidateRanker:
         if weights.any():
             is_choosy = likely > 0.0
             weights[~is_choosy, -1] = 0.0
-            weights[is_choosy, -1] -= _log_odds(likely[is_choosy])
+            weights[is_choosy, -1] -= _quantised(np.log(likely[is_choosy] / (1.0 - likely[is_choosy])))
             weights[is_choosy & (weights[:, -1] == 0.0), -1] = 1.0 / WEIGHT_GRAIN
         return scale_to_gene_range(weights)
 
@@ -128,12 +124,6 @@ class CandidateRanker:
         """Learn from rows that were simulated."""
         features = simulated["descriptor"][:, 3:].astype(np.float64)
         self._model.learn(features, simulated["outcome"] >= Outcome.DROPPED)
-
-
-def _log_odds(likely: Floats) -> Floats:
-    """Return the log odds (n,) of probabilities `likely` (n,), in whole grains."""
-    odds: Floats = np.rint(np.log(likely / (1.0 - likely)) * WEIGHT_GRAIN) / WEIGHT_GRAIN
-    return odds
 
 
 def scale_to_gene_range(weights: Floats) -> Floats:

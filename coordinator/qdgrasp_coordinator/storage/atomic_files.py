@@ -42,24 +42,17 @@ def read(file: Path) -> bytes:
 
 def is_file(path: Path) -> bool:
     """Return whether there is a file; False where the path cannot be looked at."""
-    try:
+    with suppress(OSError):
         return path.is_file()
-    except OSError:
-        return False
-
-
-def is_folder(path: Path) -> bool:
-    """Return whether there is a folder; False where the path cannot be looked at."""
-    try:
-        return path.is_dir()
-    except OSError:
-        return False
+    return False
 
 
 def check_folder(path: Path) -> None:
     """Raise `NoFolder` unless there is a folder to read from."""
-    if not is_folder(path):
-        raise NoFolder(path, is_there=os.path.lexists(path))
+    with suppress(OSError):
+        if path.is_dir():
+            return
+    raise NoFolder(path, is_there=os.path.lexists(path))
 
 
 def create_folder(

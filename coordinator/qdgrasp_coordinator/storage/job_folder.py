@@ -37,13 +37,12 @@ from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys, job_name
 from qdgrasp_protocol.messages import JobId
 
-LOCK_FILE = LOCK
 LOCK_PATIENCE = 1.0  # seconds; whoever only looks whether a folder is in use holds its lock for an instant
 LOCK_INTERVAL = 0.05  # seconds between two tries
 
 
 @contextmanager
-def hold_lock(folder: Path, name: str = LOCK_FILE) -> Iterator[None]:
+def hold_lock(folder: Path, name: str = LOCK) -> Iterator[None]:
     """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
     with _lock_file(folder, name) as file:
         deadline = time.monotonic() + LOCK_PATIENCE
@@ -58,7 +57,7 @@ def hold_lock(folder: Path, name: str = LOCK_FILE) -> Iterator[None]:
         yield
 
 
-def check_unlocked(folder: Path, name: str = LOCK_FILE) -> None:
+def check_unlocked(folder: Path, name: str = LOCK) -> None:
     """Raise `FolderError` if a process holds the lock `name` of the folder."""
     with _lock_file(folder, name) as file:
         if not _try_lock(file):

@@ -190,7 +190,8 @@ class Journal:
         """The blocks that hold rows from `first` up to `stop`, checked to follow each other."""
         query = """SELECT first, n, cpu_seconds, crc, rows FROM blocks WHERE first < ?
             AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first"""
-        failures = self._failures(first, stop)
+        reasons = "SELECT row, reason FROM errors WHERE row >= ? AND row < ? ORDER BY row"
+        failures = self._all(reasons, first, stop)
         expected: int | None = None
         with explaining_read_errors(self._file), self._reading(query, stop, first) as found:
             for number, n, cpu_seconds, crc, blob in found:
@@ -213,10 +214,6 @@ class Journal:
         finally:
             with suppress(sqlite3.ProgrammingError):
                 found.close()
-
-    def _failures(self, first: int, stop: int) -> list[tuple[int, str]]:
-        query = "SELECT row, reason FROM errors WHERE row >= ? AND row < ? ORDER BY row"
-        return [(int(row), str(reason)) for row, reason in self._all(query, first, stop)]
 
     def _meta(self) -> dict[str, str]:
         return {str(name): str(value) for name, value in self._all("SELECT name, value FROM meta")}

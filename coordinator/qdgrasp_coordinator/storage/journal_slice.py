@@ -1,7 +1,7 @@
 """Slices of a journal: consecutive final rows of one run, with costs and failure reasons."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -66,9 +66,7 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
         run=run,
         first=part.first,
         n=len(part),
-        genes=shape.genes,
-        joints=shape.joints,
-        descriptors=shape.descriptors,
+        **asdict(shape),
         columns=pack(part.rows, COLUMNS),
         cpu_seconds=part.cpu_seconds,
         failures=list(part.failures),

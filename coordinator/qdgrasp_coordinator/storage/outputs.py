@@ -21,12 +21,10 @@ from qdgrasp_protocol.text import first_few
 PNG_SIGNATURE = {"Software": "qdgrasp"}  # What `savefig` writes beside the pixels of a PNG file
 PNG_HEAD = 4096  # Bytes of a file that are looked at
 
-
 JOB, ENDPOINT, LOCK, SUPERVISED = "job.json", "endpoint", "lock", "supervised"
 CAMPAIGN, LOGS, RUNS = "campaign.toml", "logs", "runs"
 SPEC, SCENE, JOURNAL = "spec.toml", "scene.bundle", "run.sqlite"
-SOURCE, RANKING = "source.json", "ranking.csv"
-"""Files of a run that scores the grasps of another one again."""
+SOURCE, RANKING = "source.json", "ranking.csv"  # Of a run that scores the grasps of another one again
 MARKS = (JOB, CAMPAIGN, SCENE, JOURNAL)
 """Files that each mark the folder of a run or job, also where others are missing."""
 PARTS = frozenset(

@@ -28,8 +28,7 @@ from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
-VERSION = "qdgrasp"
-"""The version of this package: recorded and shown, not compared."""
+VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
 
 
 class PlatformDiffers(Refused):
@@ -53,10 +52,7 @@ def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> st
 def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[str, str]:
     """The platform of the job once this worker has joined: the first worker sets it.
 
-    Raises
-    ------
-    PlatformDiffers
-        Another platform was there first; what differs is named.
+    Raises `PlatformDiffers` where another platform was there first; what differs is named.
     """
     if job and platform_differences(job, worker):
         raise PlatformDiffers(job, worker)
@@ -75,8 +71,7 @@ def journal_digest(journal: Journal) -> str:
     return total.hexdigest()
 
 
-SHOWN, LONGEST = 3, 40
-"""Most keys, and characters of a value, named where two files are of different runs."""
+SHOWN, LONGEST = 3, 40  # Most keys, and characters of a value, named where two files are of different runs
 
 
 class RunFolder:

@@ -64,8 +64,7 @@ SUCCESS_COLUMNS = (
 MOST_SUCCESSES = 4096  # The most finds in one answer
 MOST_BYTES = 1 << 20  # The most bytes of all columns of one answer
 
-SuccessTable = NDArray[np.void]
-"""A structured array with the dtype of `layout`."""
+SuccessTable = NDArray[np.void]  # A structured array with the dtype of `success_dtype`
 
 
 @cache

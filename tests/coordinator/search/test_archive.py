@@ -64,7 +64,7 @@ def test_it_holds_what_a_loop_over_rows_would_hold(seed: int) -> None:
     assert np.array_equal(genomes, np.stack([row["genome"] for row in expected.values()]))
     successful = [row["outcome"] >= Outcome.DROPPED for row in expected.values()]
     assert elites.successful.tolist() == successful
-    assert (len(archive), archive.success_cells) == (len(expected), sum(successful))
+    assert (len(archive), archive.elites.successful.sum()) == (len(expected), sum(successful))
 
 
 def test_of_equals_in_one_batch_the_first_stays() -> None:
