@@ -131,15 +131,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Credentials:
-    """The certificate of a role, its key, and the authority of the other side's certificate.
-
-    Attributes
-    ----------
-    folder
-        Folder of the files.
-    role
-        Role that they are of.
-    """
+    """The certificate of a role, its key, and the authority of the other side's certificate."""
 
     folder: Path
     role: Role
@@ -153,7 +145,13 @@ class Credentials:
         if folder is None:
             return None
         found = cls(folder.absolute(), role)
-        found.check()
+        try:
+            found._check()
+        except OSError as error:
+            raise SecurityError(
+                f"{error.filename} cannot be read ({error.strerror}): the files of a {role} are to be "
+                "those of the user who runs it."
+            ) from None
         return found
 
     @property
@@ -176,17 +174,8 @@ class Credentials:
         """A zenoh configuration of the role; the router's holds the access list."""
         return self.folder / f"{self.role}.json5"
 
-    def check(self) -> None:
-        """Check that all files are readable, and that other users cannot read the key."""
-        try:
-            self._check()
-        except OSError as error:
-            raise SecurityError(
-                f"{error.filename} cannot be read ({error.strerror}): the files of a {self.role} are to be "
-                "those of the user who runs it."
-            ) from None
-
     def _check(self) -> None:
+        """Check that all files are readable, and that other users cannot read the key."""
         needed = [self.authority, self.certificate, self.key]
         if self.role is Role.ROUTER:
             needed.append(self.configuration)

@@ -16,7 +16,6 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import replay
@@ -93,7 +92,8 @@ class EpisodeReplay:
         root[:3, :3] = Rotation.from_quat(snapshot.root[1]).as_matrix()
         root[:3, 3] = snapshot.root[0]
         positions = dict(zip(self._joints, snapshot.joints, strict=True))
-        return pose_of_frame(self._robot.forward(positions, root)[self._scene.gripper.base_link])
+        frame = self._robot.forward(positions, root)[self._scene.gripper.base_link]
+        return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
 
     def _answer(self, shown: list[TimedSnapshot], camera: ReplayCamera) -> ReplayAnswer:
         found = self.verdict
@@ -128,19 +128,11 @@ def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
 
 def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The means of squares of `OVERSAMPLING` by `OVERSAMPLING` pixels."""
-    parts = [
-        image[row::OVERSAMPLING, column::OVERSAMPLING]
-        for row in range(OVERSAMPLING)
-        for column in range(OVERSAMPLING)
-    ]
-    total = np.asarray(np.sum(parts, axis=0, dtype=np.uint16))
-    means = (total + OVERSAMPLING * OVERSAMPLING // 2) // (OVERSAMPLING * OVERSAMPLING)
-    return means.astype(np.uint8)
-
-
-def pose_of_frame(frame: Floats) -> replay.Pose:
-    """A frame (4, 4) as a position and a quaternion."""
-    return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
+    rows, columns = image.shape[0] // OVERSAMPLING, image.shape[1] // OVERSAMPLING
+    squares = image.reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, 3)
+    total = squares.sum(axis=(1, 3), dtype=np.uint16)
+    means: NDArray[np.uint8] = ((total + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
+    return means
 
 
 def make_pose(position: list[float], quaternion: list[float]) -> replay.Pose:
@@ -168,9 +160,8 @@ def replay_folder(folder: Path) -> None:
             answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).render(make)
             (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
         except OSError as error:
-            raise InputError(
-                f"The frames do not fit into {folder.parent}: {error.strerror or error}."
-            ) from None
+            reason = error.strerror or error
+            raise InputError(f"The frames do not fit into {folder.parent}: {reason}.") from None
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Interface of custom evaluators: hands in, verdicts out, as arrays, without any simulator."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -40,16 +40,8 @@ class Hands:
         return len(self.base_to_object)
 
     def __getitem__(self, places: slice | NDArray[np.intp]) -> "Hands":
-        return Hands(
-            self.base_to_object[places],
-            self.joints[places],
-            self.synergies[places],
-            self.frictions[places],
-            self.trials[places],
-            self.surface_points[places],
-            self.prior,
-            self.genomes[places],
-        )
+        arrays = {name: value[places] for name, value in vars(self).items() if name != "prior"}
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from qdgrasp_assets.scene import unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
-from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, RowShape, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_worker.evaluator import BatchEvaluator, Evaluator, EvaluatorCache
 from qdgrasp_worker.platform import platform
 from qdgrasp_worker.runtime import process_limits
@@ -79,7 +79,9 @@ class SimulatorMain:
     def _evaluate_slices(self, evaluator: BatchEvaluator, request: EvaluateRows) -> None:
         """Evaluate rows, slice by slice, and send their results at intervals."""
         shape = evaluator.shape(request.prior)
-        rows = read_rows(request, shape)
+        if request.genes != shape.genes:
+            raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")
+        rows = unpack(shape.empty(request.n), WORK_COLUMNS, request.columns, shape)
         failures: list[Failure] = []
         sent, sent_at, began = 0, time.monotonic(), time.process_time()
         for piece in slices(request.n, 1 if request.is_careful else evaluator.at_once):
@@ -91,31 +93,20 @@ class SimulatorMain:
             failures += [Failure(row=first + row, reason=shorten(reason)) for row, reason in found.failures]
             now = time.monotonic()
             if request.is_careful or piece.stop == request.n or now > sent_at + REPORT_INTERVAL:
-                ended = time.process_time()
-                self._send(partial_result(rows[sent : piece.stop], shape, failures, ended - began))
+                ended, part = time.process_time(), rows[sent : piece.stop]
+                result = PartialResult(
+                    n=len(part),
+                    joints=shape.joints,
+                    descriptors=shape.descriptors,
+                    columns=pack(part, RESULT),
+                    failures=failures,
+                    cpu_seconds=ended - began,
+                )
+                self._send(result)
                 failures, sent, sent_at, began = [], piece.stop, now, ended
 
     def _send(self, message: SimulatorMessage) -> None:
         self._socket.send(encode(message))
-
-
-def read_rows(request: EvaluateRows, shape: RowShape) -> Rows:
-    """Rows with the keys and genomes of a request; a MessageError if they are not of this shape."""
-    if request.genes != shape.genes:
-        raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")
-    return unpack(shape.empty(request.n), WORK_COLUMNS, request.columns, shape)
-
-
-def partial_result(rows: Rows, shape: RowShape, failures: list[Failure], seconds: float) -> PartialResult:
-    """The message with the results of rows, and the CPU seconds that they took."""
-    return PartialResult(
-        n=len(rows),
-        joints=shape.joints,
-        descriptors=shape.descriptors,
-        columns=pack(rows, RESULT),
-        failures=failures,
-        cpu_seconds=seconds,
-    )
 
 
 def slices(n: int, most: int) -> Iterator[slice]:
