@@ -6,7 +6,7 @@ renderer for machines without a screen. The camera, in OpenGL's matrices, is pla
 evaluation is in the picture.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Self
@@ -250,17 +250,6 @@ AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)
 """The sides that are tried [deg]."""
 OBJECT_CORNERS = -8  # Where in the corners of all that is there those of the object begin
 PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture that is only counted
-
-
-def camera_around(
-    renderer: Renderer,
-    snapshots: Sequence[Snapshot],
-    still: Snapshot,
-    view: tuple[float, float],
-    aspect: float,
-) -> CameraMatrices:
-    """The camera that has all of `snapshots` in its picture."""
-    return fit_camera(corners_around(renderer, snapshots, still), *view, aspect)
 
 
 def best_view(renderer: Renderer, still: Snapshot) -> tuple[float, float]:

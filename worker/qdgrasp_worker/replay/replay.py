@@ -44,7 +44,7 @@ from qdgrasp_worker.replay.recorder import (
     animation,
     still_snapshot,
 )
-from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, camera_around
+from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera
 
 OVERSAMPLING = 2  # So many pixels are drawn for each that is shown, along each axis
 Frames = NDArray[np.uint8]
@@ -79,7 +79,8 @@ class EpisodeReplay:
         with Renderer(self._scene, parts=request.parts) as renderer:
             grasp = still_snapshot(self.snapshots)
             view = request.view or best_view(renderer, grasp)
-            camera = camera_around(renderer, [timed.snapshot for timed in shown], grasp, view, width / height)
+            corners = corners_around(renderer, [timed.snapshot for timed in shown], grasp)
+            camera = fit_camera(corners, *view, width / height)
             frames = make(len(shown), height, width)
             for frame, timed in zip(frames, shown, strict=True):
                 renderer.place(timed.snapshot)

@@ -277,8 +277,6 @@ class SimulatorSupervisor:
     def __exit__(self, *_: object) -> None:
         self._simulator.close()
 
-    # Batches.
-
     @property
     def has_room(self) -> bool:
         """True if another batch may be submitted."""
@@ -321,8 +319,6 @@ class SimulatorSupervisor:
     def drop(self, task: BatchProgress) -> None:
         """Forget `next_requeued`."""
         self._requeued.remove(task)
-
-    # Events of the simulator.
 
     def on_event(self, event: SimulatorEvent, now: float) -> list[BatchProgress]:
         """Take a message or the end of the simulator; those of an older one are passed over.
@@ -389,8 +385,6 @@ class SimulatorSupervisor:
                 done.append(sent.pop(0))
         self._requeued.extendleft(reversed(sent))
         return done
-
-    # Time passes.
 
     @property
     def next_step(self) -> float:
