@@ -66,9 +66,7 @@ def usage_error(error: TyperException, name: str) -> str:
     context = getattr(error, "ctx", None)
     command = name if context is None else context.command_path
     words = error.format_message()
-    faults = getattr(
-        error.__cause__, "errors", None
-    )  # those of a validation error, without its library
+    faults = getattr(error.__cause__, "errors", None)  # those of a validation error, without its library
     for fault in faults() if callable(faults) else ():
         said = fault["msg"]
         better = said.removeprefix(CHOICE_PREFIX)

@@ -198,10 +198,8 @@ class MemoryBus(Bus):
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
         """Query all matching keys."""
         self._check_open()
-        answerers = [
-            a for a in self._network.visible(Queryable, self) if patterns_intersect(a.pattern, pattern)
-        ]
-        answers = [_query(answerer, Query(pattern, "", b"")) for answerer in answerers]
+        answerers, query = self._network.visible(Queryable, self), Query(pattern, "", b"")
+        answers = [_query(a, query) for a in answerers if patterns_intersect(a.pattern, pattern)]
         answered, _ = wait(answers, timeout)
         found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
         return {key: value for values in found for key, value in values.items() if matches(pattern, key)}

@@ -37,7 +37,7 @@ Number = Annotated[float, Meta(ge=0, le=1e12)]
 JobId = Annotated[str, Meta(max_length=32)]
 """Random id of a job, made with its folder, unlike its name unique; empty: unknown."""
 Text = Annotated[str, Meta(max_length=200)]
-"""Text for a person; made with `short`."""
+"""Text for a person; made with `shorten`."""
 
 
 def shorten(text: str) -> str:

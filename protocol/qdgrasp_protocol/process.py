@@ -225,11 +225,14 @@ class ProcessGroup:
     def start(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
         """Start `python -m module arguments` as the process `name`, on one core or on any."""
         command = [sys.executable, "-m", module, *arguments]
-        log = self._log(name)
-        began = log.stat().st_size if log is not None and log.exists() else 0
+        log, log_start = None, 0
+        if self._logs is not None:
+            self._logs.mkdir(parents=True, exist_ok=True)
+            log = self._logs / f"{name}.log"
+            log_start = log.stat().st_size if log.exists() else 0
         started = time.monotonic()
         self._members[name] = GroupMember(
-            name, command, log, _start(command, log, core), started, log_start=began, core=core
+            name, command, log, _start(command, log, core), started, log_start=log_start, core=core
         )
 
     def exits(self) -> list[ProcessExit]:
@@ -307,12 +310,6 @@ class ProcessGroup:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
-
-    def _log(self, name: str) -> Path | None:
-        if self._logs is None:
-            return None
-        self._logs.mkdir(parents=True, exist_ok=True)
-        return self._logs / f"{name}.log"
 
 
 def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:

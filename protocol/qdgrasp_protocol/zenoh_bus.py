@@ -248,11 +248,11 @@ class ZenohBus(Bus):
         self._held.clear()
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
 
-    def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
+    def _declare(self, callback: Callable[[Any], None], declare: Callable[[Any], Any]) -> Declaration:
         """Declare a callback; its errors are logged, and it is not called after the end."""
         declaration = Declaration()
 
-        def call(argument: T) -> None:
+        def call(argument: Any) -> None:
             try:
                 if declaration.holds:
                     callback(argument)

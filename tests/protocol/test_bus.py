@@ -1,4 +1,4 @@
-"""The contract of every bus, one class of tests over all of them; and bundles that go over one."""
+"""The contract of every bus, one class of tests over all; and bundles sent over one."""
 
 import hashlib
 import socket

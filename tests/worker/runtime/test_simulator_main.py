@@ -1,4 +1,4 @@
-"""A simulator's process: the rows that it evaluates, and the limits that it imposes on itself."""
+"""A simulator's process: the rows that it evaluates, and its limits on itself."""
 
 import os
 import subprocess

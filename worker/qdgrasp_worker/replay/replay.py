@@ -8,6 +8,7 @@ where an evaluation would know by then that it misses.
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
@@ -59,7 +60,7 @@ class EpisodeReplay:
     def __init__(self, scene: Scene, request: ReplayRequest) -> None:
         self._scene = scene
         self._request = request
-        with RecordingWorld(scene) as world:
+        with closing(RecordingWorld(scene)) as world:
             episode = Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
             self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
             self.snapshots = world.snapshots

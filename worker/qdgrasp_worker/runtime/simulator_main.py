@@ -31,8 +31,6 @@ from qdgrasp_worker.runtime.simulator_messages import (
     SimulatorMessage,
     SimulatorReady,
     SimulatorSettings,
-    decode,
-    encode,
 )
 
 REPORT_INTERVAL = 0.1  # Seconds between two parts of a batch, at least
@@ -59,12 +57,12 @@ class SimulatorMain:
     def evaluate(self, request: EvaluateRows) -> None:
         """Evaluate rows, and send their results."""
         if request.bundle is None and request.scene not in self._evaluators:
-            self._send(SceneMissing())
+            self._socket.send(SceneMissing())
             return
         try:
             self._evaluate_slices(self._evaluator(request), request)
         except (InputError, MessageError) as error:
-            self._send(BatchRejected(reason=str(error)))
+            self._socket.send(BatchRejected(reason=str(error)))
 
     def _evaluator(self, request: EvaluateRows) -> BatchEvaluator:
         def load() -> BatchEvaluator:
@@ -73,7 +71,7 @@ class SimulatorMain:
 
         evaluator = self._evaluators.get(request.scene, load)
         if request.bundle is not None:
-            self._send(SceneLoaded())
+            self._socket.send(SceneLoaded())
         return evaluator
 
     def _evaluate_slices(self, evaluator: BatchEvaluator, request: EvaluateRows) -> None:
@@ -102,11 +100,8 @@ class SimulatorMain:
                     failures=failures,
                     cpu_seconds=ended - began,
                 )
-                self._send(result)
+                self._socket.send(result)
                 failures, sent, sent_at, began = [], piece.stop, now, ended
-
-    def _send(self, message: SimulatorMessage) -> None:
-        self._socket.send(encode(message))
 
 
 def slices(n: int, most: int) -> Iterator[slice]:
@@ -130,7 +125,7 @@ def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -
     process_limits.lower_priority(settings.nice)
     with process_limits.time_limit(process_limits.PROBE_SECONDS):
         found = probe()
-    connection.send(encode(SimulatorReady(platform=found)))
+    connection.send(SimulatorReady(platform=found))
     simulator = SimulatorMain(connection, settings.row_seconds, load)
     while (request := _receive(connection, EvaluateRows)) is not None:
         simulator.evaluate(request)
@@ -146,16 +141,13 @@ def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> N
     except (BrokenPipeError, ConnectionResetError):
         sys.exit(0)  # the worker is gone
     except Exception as error:  # noqa: BLE001  # whatever it is, the worker is told
-        connection.send(encode(SimulatorCrashed(reason=f"{type(error).__name__}: {error}")))
+        connection.send(SimulatorCrashed(reason=f"{type(error).__name__}: {error}"))
         sys.exit(1)
 
 
 def _receive(connection: FramedSocket, kind: type[M]) -> M | None:
-    data = connection.receive()
-    if data is None:
-        return None
-    message = decode(data)
-    if not isinstance(message, kind):
+    message = connection.receive()
+    if not (message is None or isinstance(message, kind)):
         raise MessageError(f"expected {kind.__name__}, got {type(message).__name__}")
     return message
 
