@@ -5,7 +5,6 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -66,25 +65,15 @@ def usage_error(error: TyperException, name: str) -> str:
     """
     context = getattr(error, "ctx", None)
     command = name if context is None else context.command_path
-    return f"{_usage_words(error).rstrip('.')}. See `{command} --help`."
-
-
-def _usage_words(error: TyperException) -> str:
     words = error.format_message()
-    for fault in _faults(error):
+    faults = getattr(error.__cause__, "errors", None)  # those of a validation error, without its library
+    for fault in faults() if callable(faults) else ():
         said = fault["msg"]
         better = said.removeprefix(CHOICE_PREFIX)
         if said.startswith(BOUND_PREFIX):
             better = f"it must be {said.removeprefix(BOUND_PREFIX)}, got '{fault['input']}'"
         words = words.replace(said, better)
-    return words
-
-
-def _faults(error: TyperException) -> Iterator[dict[str, str]]:
-    """Yield the faults of a validation error; avoids importing the library that raises it."""
-    faults = getattr(error.__cause__, "errors", None)
-    if callable(faults):
-        yield from faults()
+    return f"{words.rstrip('.')}. See `{command} --help`."
 
 
 SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to hear a signal
@@ -153,13 +142,10 @@ def _print_usage_error(name: str, error: TyperException) -> int:
 
 
 def _print_error(name: str, sentence: str, code: int) -> int:
+    """Print a sentence, its lines escaped, as it may contain untrusted text."""
+    lines = "\n".join(map(printable, sentence.split("\n")))
     try:
-        print(f"{name}: {_printable_lines(sentence)}", file=sys.stderr, flush=True)  # noqa: T201  # speaks without a logger
+        print(f"{name}: {lines}", file=sys.stderr, flush=True)  # noqa: T201  # speaks without a logger
     except OSError:
         sys.stderr = None  # a full disk: nothing may be left to flush at the exit
     return code
-
-
-def _printable_lines(sentence: str) -> str:
-    """Return the lines of a sentence, escaped, as it may contain untrusted text."""
-    return "\n".join(map(printable, sentence.split("\n")))

@@ -22,11 +22,31 @@ def job_name(text: str) -> str:
 class Keys:
     """The keys of one job; an ImpossibleValue if its name is not of the allowed characters."""
 
+    _allowed = NAME
+
     def __init__(self, job: str) -> None:
-        if not NAME.fullmatch(job):
+        if not self._allowed.fullmatch(job):
             raise ImpossibleValue("job", job, "1 to 64 of the characters a-z, 0-9, '_' and '-'")
         self.job = job
         self.root = f"{ROOT}/{job}"
+        self.join = f"{self.root}/rpc/join"
+        """Worker to coordinator, query: join, rejoin."""
+        self.control = f"{self.root}/rpc/control"
+        """Administrator to coordinator, query: pause, continue, cancel, drain."""
+        self.recorded = f"{self.root}/@recorded"
+        """Recorder to coordinator: the highest durable number."""
+        self.open = f"{self.root}/rec/open"
+        """Coordinator to recorder, query: opens a job."""
+        self.log = f"{self.root}/rec/log"
+        """Anyone to recorder, query: recorded rows from a number on."""
+        self.entries = f"{self.root}/rec/runs"
+        """Monitors to recorder, query: all runs in the folder, finished ones too, or one; JSON."""
+        self.finds = f"{self.root}/rec/finds"
+        """Monitors to recorder, query `?run=<run>&from=<number>`: successes of a run from a row on."""
+        self.recent = f"{self.root}/event/recent"
+        """Monitors to coordinator, query: the latest events, JSON."""
+        self.meta = f"{self.root}/meta"
+        """To monitors: description of a job, JSON, at a coordinator's start; also on query."""
 
     def work(self, wid: str) -> str:
         """Coordinator to worker: a leased batch."""
@@ -40,16 +60,6 @@ class Keys:
         """Coordinator to worker: batches to drop, or an order to leave."""
         return f"{self.root}/@ctl/{wid}"
 
-    @property
-    def join(self) -> str:
-        """Worker to coordinator, query: join, rejoin."""
-        return f"{self.root}/rpc/join"
-
-    @property
-    def control(self) -> str:
-        """Administrator to coordinator, query: pause, continue, cancel, drain."""
-        return f"{self.root}/rpc/control"
-
     def asset(self, digest: str = "*") -> str:
         """Worker to coordinator, query per chunk: a scene bundle by its digest."""
         return f"{self.root}/@asset/{digest}"
@@ -57,21 +67,6 @@ class Keys:
     def outcome(self, epoch: int | None = None) -> str:
         """Coordinator to recorder: settled rows."""
         return f"{self.root}/@outcome/{'*' if epoch is None else epoch}"
-
-    @property
-    def recorded(self) -> str:
-        """Recorder to coordinator: the highest durable number."""
-        return f"{self.root}/@recorded"
-
-    @property
-    def open(self) -> str:
-        """Coordinator to recorder, query: opens a job."""
-        return f"{self.root}/rec/open"
-
-    @property
-    def log(self) -> str:
-        """Anyone to recorder, query: recorded rows from a number on."""
-        return f"{self.root}/rec/log"
 
     def coordinator_token(self, epoch: int | None = None) -> str:
         """Liveliness of a coordinator."""
@@ -84,16 +79,6 @@ class Keys:
     def recorder_token(self, rid: str = "*") -> str:
         """Liveliness of a recorder."""
         return f"{self.root}/live/recorder/{rid}"
-
-    @property
-    def entries(self) -> str:
-        """Monitors to recorder, query: all runs in the folder, finished ones too, or one; JSON."""
-        return f"{self.root}/rec/runs"
-
-    @property
-    def finds(self) -> str:
-        """Monitors to recorder, query `?run=<run>&from=<number>`: successes of a run from a row on."""
-        return f"{self.root}/rec/finds"
 
     def recorded_asset(self, digest: str = "*") -> str:
         """Monitors to recorder, query per chunk: a scene bundle by its digest."""
@@ -111,23 +96,14 @@ class Keys:
         """To monitors: an event, JSON, when it happens."""
         return f"{self.root}/event/{kind}"
 
-    @property
-    def recent(self) -> str:
-        """Monitors to coordinator, query: the latest events, JSON."""
-        return f"{self.root}/event/recent"
-
-    @property
-    def meta(self) -> str:
-        """To monitors: description of a job, JSON, at a coordinator's start; also on query."""
-        return f"{self.root}/meta"
-
 
 class AnyJob(Keys):
     """Patterns over the keys of all jobs, for workers that serve any job."""
 
+    _allowed = re.compile(r"\*")
+
     def __init__(self) -> None:
-        self.job = "*"
-        self.root = f"{ROOT}/*"
+        super().__init__("*")
 
 
 def job_of(key: str) -> str | None:

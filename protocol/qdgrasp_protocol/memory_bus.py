@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import structlog
@@ -32,12 +33,12 @@ from qdgrasp_protocol.keys import matches, patterns_intersect
 log = structlog.get_logger()
 
 
+@dataclass(eq=False)
 class Registration:
     """A declaration of a session on a pattern."""
 
-    def __init__(self, session: "MemoryBus", pattern: str) -> None:
-        self.session = session
-        self.pattern = pattern
+    session: "MemoryBus"
+    pattern: str
 
 
 E = TypeVar("E", bound=Registration)
@@ -47,12 +48,11 @@ class LivelinessToken(Registration):
     """A liveliness token of a session."""
 
 
+@dataclass(eq=False)
 class Subscriber(Registration):
     """A session receives messages."""
 
-    def __init__(self, session: "MemoryBus", pattern: str, handler: SampleHandler) -> None:
-        super().__init__(session, pattern)
-        self.handler = handler
+    handler: SampleHandler
 
 
 class MemoryRing(RingBuffer):
@@ -70,41 +70,36 @@ class MemoryRing(RingBuffer):
         return taken
 
 
+@dataclass(eq=False)
 class Queryable(Registration):
     """A queryable of a session; answers one query at a time, with values by key."""
 
-    def __init__(self, session: "MemoryBus", pattern: str, handler: ValuesHandler) -> None:
-        super().__init__(session, pattern)
-        self._handler = handler
-        self._turn = threading.Lock()
+    handler: ValuesHandler
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def reply(self, query: Query, answer: "Future[Mapping[str, bytes]]") -> None:
         """Put the handler's values, or its error, into `answer`."""
-        with self._turn:
+        with self._lock:
             try:
-                answer.set_result(self._handler(query))
+                answer.set_result(self.handler(query))
             except Exception as error:  # noqa: BLE001  # whatever it is, the asker is told and the log too
                 answer.set_exception(reply_error(error, query.key))
 
 
+@dataclass(eq=False)
 class LivelinessWatcher(Registration):
     """A session watches tokens; it knows those that were reported alive."""
 
-    def __init__(self, session: "MemoryBus", pattern: str, handler: TokenHandler) -> None:
-        super().__init__(session, pattern)
-        self._handler = handler
-        self._alive: list[str] = []
+    handler: TokenHandler
+    _alive: list[str] = field(default_factory=list)
 
     def update(self, tokens: list[str]) -> None:
         """Report the changes since the last call to the handler."""
         before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
         self._alive = now
-        for key in before:
-            if key not in now:
-                _call(self._handler, key, False)
-        for key in now:
-            if key not in before:
-                _call(self._handler, key, True)
+        gone, new = [key for key in before if key not in now], [key for key in now if key not in before]
+        for key in gone + new:
+            _call(self.handler, key, key in now)
 
 
 class MemoryNetwork:
@@ -203,10 +198,8 @@ class MemoryBus(Bus):
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
         """Query all matching keys."""
         self._check_open()
-        answerers = [
-            a for a in self._network.visible(Queryable, self) if patterns_intersect(a.pattern, pattern)
-        ]
-        answers = [_query(answerer, Query(pattern, "", b"")) for answerer in answerers]
+        answerers, query = self._network.visible(Queryable, self), Query(pattern, "", b"")
+        answers = [_query(a, query) for a in answerers if patterns_intersect(a.pattern, pattern)]
         answered, _ = wait(answers, timeout)
         found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
         return {key: value for values in found for key, value in values.items() if matches(pattern, key)}

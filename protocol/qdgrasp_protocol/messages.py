@@ -37,7 +37,7 @@ Number = Annotated[float, Meta(ge=0, le=1e12)]
 JobId = Annotated[str, Meta(max_length=32)]
 """Random id of a job, made with its folder, unlike its name unique; empty: unknown."""
 Text = Annotated[str, Meta(max_length=200)]
-"""Text for a person; made with `short`."""
+"""Text for a person; made with `shorten`."""
 
 
 def shorten(text: str) -> str:
@@ -306,7 +306,6 @@ class Heartbeat(Struct, frozen=True, kw_only=True):
 
 
 M = TypeVar("M", bound=Message)
-C = TypeVar("C", list[Any], dict[str, Any])
 
 MAX_PAYLOAD = 16 << 20  # The largest payload that is looked at [bytes]
 MAX_CONTAINERS = 8192  # The most lists and maps in one message: a result with 4096 failures has half of them
@@ -368,21 +367,16 @@ def check_bundle(payload: bytes) -> None:
 
 def _unpack(payload: bytes, containers: int, limits: dict[str, Any]) -> Any:
     """Unpack a payload, up to a number of lists and maps."""
-    count = _ContainerLimit(containers).count
+    left = containers
+
+    def count(container: Any) -> Any:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise ValueError("too many lists and maps")
+        return container
+
     try:
         return msgpack.unpackb(payload, list_hook=count, object_hook=count, **limits)
     except (ValueError, msgpack.UnpackException) as error:
         raise MessageError(f"not MessagePack within the limits: {type(error).__name__}") from None
-
-
-class _ContainerLimit:
-    """Remaining number of lists and maps that a payload may unfold to."""
-
-    def __init__(self, left: int) -> None:
-        self._left = left
-
-    def count(self, container: C) -> C:
-        self._left -= 1
-        if self._left < 0:
-            raise ValueError("too many lists and maps")
-        return container

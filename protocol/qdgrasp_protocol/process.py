@@ -22,8 +22,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from traceback import TracebackException
-from types import FrameType, TracebackType
-from typing import IO, TextIO, cast
+from types import FrameType
+from typing import TextIO, cast
 
 import structlog
 from setproctitle import setproctitle
@@ -76,7 +76,10 @@ def lifetime(title: str) -> Iterator[Stop]:
     """Set the process title, and turn SIGINT, SIGTERM and the parent's end into a `Stop`."""
     setproctitle(title)
     stop = Stop()
-    notes = signal.set_wakeup_fd(begin := _start_signal_thread(stop), warn_on_full_buffer=False)
+    end, begin = os.pipe()
+    os.set_blocking(begin, False)
+    threading.Thread(target=_repeat_signal, args=(end, stop), name="signals", daemon=True).start()
+    notes = signal.set_wakeup_fd(begin, warn_on_full_buffer=False)
     before = {number: signal.signal(number, stop.set) for number in STOP_SIGNALS}
     if os.environ.pop(SUPERVISED, None):
         threading.Thread(target=_end_with_parent, name="starter", daemon=True).start()
@@ -87,14 +90,6 @@ def lifetime(title: str) -> Iterator[Stop]:
             signal.signal(number, handler)
         signal.set_wakeup_fd(notes)
         os.close(begin)
-
-
-def _start_signal_thread(stop: Stop) -> int:
-    """Start a thread that receives signal numbers; returns the file descriptor to write to."""
-    end, begin = os.pipe()
-    os.set_blocking(begin, False)
-    threading.Thread(target=_repeat_signal, args=(end, stop), name="signals", daemon=True).start()
-    return begin
 
 
 def _repeat_signal(end: int, stop: Stop) -> None:
@@ -230,11 +225,14 @@ class ProcessGroup:
     def start(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
         """Start `python -m module arguments` as the process `name`, on one core or on any."""
         command = [sys.executable, "-m", module, *arguments]
-        log = self._log(name)
-        began = log.stat().st_size if log is not None and log.exists() else 0
+        log, log_start = None, 0
+        if self._logs is not None:
+            self._logs.mkdir(parents=True, exist_ok=True)
+            log = self._logs / f"{name}.log"
+            log_start = log.stat().st_size if log.exists() else 0
         started = time.monotonic()
         self._members[name] = GroupMember(
-            name, command, log, _start(command, log, core), started, log_start=began, core=core
+            name, command, log, _start(command, log, core), started, log_start=log_start, core=core
         )
 
     def exits(self) -> list[ProcessExit]:
@@ -273,8 +271,7 @@ class ProcessGroup:
             said = member.log.read_bytes()[member.log_start :].decode(errors="replace")
         except OSError:
             return ""
-        mark = "qdgrasp-"
-        lines = [line for line in said.splitlines() if line.startswith(mark) and ": " in line]
+        lines = [line for line in said.splitlines() if line.startswith("qdgrasp-") and ": " in line]
         return lines[-1].partition(": ")[2] if lines else ""
 
     def process(self, name: str) -> subprocess.Popen[bytes]:
@@ -283,67 +280,46 @@ class ProcessGroup:
 
     def pids(self) -> dict[str, int]:
         """Return the ids of the running processes by name."""
-        return {m.name: m.process.pid for m in self._members.values() if m.process.poll() is None}
+        return {name: process.pid for name, process in self._running().items()}
 
-    def _alive(self) -> list[subprocess.Popen[bytes]]:
-        return [member.process for member in self._members.values() if member.process.poll() is None]
+    def _running(self) -> dict[str, subprocess.Popen[bytes]]:
+        return {m.name: m.process for m in self._members.values() if m.process.poll() is None}
 
     def request_stop(self, number: int = signal.SIGTERM) -> None:
         """Send every process a signal to stop; the grace begins."""
         self._leave_by = time.monotonic() + self._grace
-        for process in self._alive():
+        for process in self._running().values():
             process.send_signal(number)
 
     def stop(self, number: int = signal.SIGTERM) -> None:
         """End every process by a signal, then, after the grace, by SIGKILL."""
         if self._leave_by is None:
             self.request_stop(number)
-        for process in self._alive():
+        for process in self._running().values():
             try:
                 process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
         for member in self._members.values():
-            _close_pipe(member.process.stdin)
+            if member.process.stdin is not None:
+                member.process.stdin.close()
 
     def __enter__(self) -> "ProcessGroup":
         return self
 
-    def __exit__(
-        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
-
-    def _log(self, name: str) -> Path | None:
-        if self._logs is None:
-            return None
-        self._logs.mkdir(parents=True, exist_ok=True)
-        return self._logs / f"{name}.log"
 
 
 def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
     """Start a process that ends with this one; its own session keeps Ctrl-C from it."""
+    environment = {**os.environ, **ONE_THREAD, SUPERVISED: "1"}
+    environment.pop(SECURITY_VARIABLE, None)  # children are given the certificate folder by an option
     with nullcontext() if log is None else log.open("ab") as file, _pinned_to(core):
         return subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=file,
-            stderr=file,
-            start_new_session=True,
-            env=_environment(),
+            command, stdin=subprocess.PIPE, stdout=file, stderr=file, start_new_session=True, env=environment
         )
-
-
-def _environment() -> dict[str, str]:
-    """Return a child's environment: ours without the certificate folder, given by endpoint."""
-    ours = {name: value for name, value in os.environ.items() if name != SECURITY_VARIABLE}
-    return {**ours, **ONE_THREAD, SUPERVISED: "1"}
-
-
-def _close_pipe(pipe: IO[bytes] | None) -> None:
-    if pipe is not None:
-        pipe.close()
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", "frames.npy"
-"""Files: scene bundle, `Request`, `Answer`, frames (n, height, width, 3), uint8."""
+"""Files: scene bundle, `ReplayRequest`, `ReplayAnswer`, frames (n, height, width, 3), uint8."""
 
 ReplayPart = Literal["all", "closing", "shakes"]
 Phase = Literal["placed", "closing", "shake z", "shake x"]

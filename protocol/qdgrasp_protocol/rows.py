@@ -142,7 +142,7 @@ class Layout:
 
 
 Rows: TypeAlias = NDArray[np.void]
-"""A structured array with the dtype of `Shape.dtype`."""
+"""A structured array with the dtype of `RowShape.dtype`."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class RowColumn:
     item: str
     """The numpy item type, little-endian."""
     width: str
-    """Number of items: "1", "7", or the letter of a `Shape` field."""
+    """Number of items: "1", "7", or the name of a `RowShape` field."""
     meaning: str
 
 

@@ -131,15 +131,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Credentials:
-    """The certificate of a role, its key, and the authority of the other side's certificate.
-
-    Attributes
-    ----------
-    folder
-        Folder of the files.
-    role
-        Role that they are of.
-    """
+    """The certificate of a role, its key, and the authority of the other side's certificate."""
 
     folder: Path
     role: Role
@@ -178,27 +170,25 @@ class Credentials:
 
     def check(self) -> None:
         """Check that all files are readable, and that other users cannot read the key."""
+        needed = [self.authority, self.certificate, self.key]
+        if self.role is Role.ROUTER:
+            needed.append(self.configuration)
         try:
-            self._check()
+            missing = [path.name for path in needed if not path.is_file()]
+            if missing:
+                raise SecurityError(
+                    f"{self.folder} lacks {' and '.join(missing)}, which the {self.role} needs; "
+                    "copy them from the folder that `qdgrasp security init` wrote."
+                )
+            for path in needed:
+                path.open("rb").close()
+            forbidden = stat.S_IMODE(self.key.stat().st_mode) & _forbidden_permissions(self.key)
         except OSError as error:
             raise SecurityError(
                 f"{error.filename} cannot be read ({error.strerror}): the files of a {self.role} are to be "
                 "those of the user who runs it."
             ) from None
-
-    def _check(self) -> None:
-        needed = [self.authority, self.certificate, self.key]
-        if self.role is Role.ROUTER:
-            needed.append(self.configuration)
-        missing = [path.name for path in needed if not path.is_file()]
-        if missing:
-            raise SecurityError(
-                f"{self.folder} lacks {' and '.join(missing)}, which the {self.role} needs; "
-                "copy them from the folder that `qdgrasp security init` wrote."
-            )
-        for path in needed:
-            path.open("rb").close()
-        if stat.S_IMODE(self.key.stat().st_mode) & _forbidden_permissions(self.key):
+        if forbidden:
             raise SecurityError(
                 f"Others on this machine can read or change {self.key}; `chmod 600 {self.key}` mends it."
             )
@@ -225,7 +215,7 @@ BASE_SETTINGS: ZenohSettings = {
     "transport/shared_memory/enabled": False,
     "transport/unicast/max_sessions": 10_000,
     "transport/unicast/open_timeout": 3000,  # ms of one try; then another router has its turn
-    "transport/link/rx/max_message_size": 17 << 20,  # codec.MAX_PAYLOAD and what stands around it
+    "transport/link/rx/max_message_size": 17 << 20,  # messages.MAX_PAYLOAD and what stands around it
     "transport/link/tx/lease": 4000,  # ms
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,  # us
 }
@@ -325,9 +315,8 @@ SYSTEM_ERROR = re.compile(r"([A-Z][a-z ]+) \(os error")
 SOURCE_PLACE = re.compile(r" at /\S+\.rs:[0-9]+\.?")
 MAX_ZENOH_ERROR = 300  # The most characters that are repeated of what zenoh says
 HANDSHAKE_SECONDS = 2.0  # seconds that the other side may take for one step
-REFUSAL_SECONDS = (
-    0.5  # seconds in which it says whether it takes our certificate; it waits for us to speak first
-)
+REFUSAL_SECONDS = 0.5
+"""Seconds in which it says whether it takes our certificate; it waits for us to speak first."""
 
 
 class Unreachable(EndpointError):

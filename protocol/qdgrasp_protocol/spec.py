@@ -176,10 +176,7 @@ def _expected_value(kind: Any) -> str:
     if isinstance(info, msgspec.inspect.VarTupleType):
         return f"1 to {MAX_POPULATION} lists of numbers"
     words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
-    bounds = [
-        f"{word} {getattr(info, name)}"
-        for name, word in words.items()
-        if getattr(info, name, None) is not None
-    ]
+    limits = {word: getattr(info, name, None) for name, word in words.items()}
+    bounds = [f"{word} {limit}" for word, limit in limits.items() if limit is not None]
     noun = "a whole number" if isinstance(info, msgspec.inspect.IntType) else "a number"
     return f"{noun} {' and '.join(bounds)}".strip()

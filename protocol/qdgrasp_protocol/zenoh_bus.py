@@ -164,11 +164,10 @@ class ZenohBus(Bus):
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
         """Subscribe to messages."""
-
-        def heard(sample: zenoh.Sample) -> None:
-            handler(_sample(sample))
-
-        return self._declare(heard, lambda call: self._session.declare_subscriber(pattern, call))
+        return self._declare(
+            lambda sample: handler(_sample(sample)),
+            lambda call: self._session.declare_subscriber(pattern, call),
+        )
 
     def ring(self, pattern: str, capacity: int) -> RingBuffer:
         """Buffer messages in a zenoh ring channel."""
@@ -195,7 +194,8 @@ class ZenohBus(Bus):
                 return reply.ok.payload.to_bytes()
             for kind, encoding in ERROR_ENCODINGS.items():
                 if reply.err is not None and str(reply.err.encoding) == encoding:
-                    raise kind(_reason(reply.err.payload.to_bytes()))
+                    reason = reply.err.payload.to_bytes()[:MAX_REASON].decode(errors="ignore")
+                    raise kind(printable(reason))
         raise NoReply(f"Nobody answered {key} within {timeout:g} s.")
 
     def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
@@ -238,22 +238,21 @@ class ZenohBus(Bus):
         """Report changes of the transport to the router."""
         if self._mode == "router":
             return Declaration()
-
-        def changed(event: zenoh.TransportEvent) -> None:
-            handler(event.kind == zenoh.SampleKind.PUT)
-
-        return self._declare(changed, self._session.info.declare_transport_events_listener)
+        return self._declare(
+            lambda event: handler(event.kind == zenoh.SampleKind.PUT),
+            self._session.info.declare_transport_events_listener,
+        )
 
     def close(self) -> None:
         """Close the session; without it the process hangs at its end."""
         self._held.clear()
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh says no type
 
-    def _declare(self, callback: Callable[[T], None], declare: Callable[[Any], Any]) -> Declaration:
+    def _declare(self, callback: Callable[[Any], None], declare: Callable[[Any], Any]) -> Declaration:
         """Declare a callback; its errors are logged, and it is not called after the end."""
         declaration = Declaration()
 
-        def call(argument: T) -> None:
+        def call(argument: Any) -> None:
             try:
                 if declaration.holds:
                     callback(argument)
@@ -338,8 +337,3 @@ def _reply(query: zenoh.Query, handler: ValuesHandler) -> None:
     for concrete, value in values.items():
         if matches(key, concrete):
             query.reply(concrete, value)
-
-
-def _reason(payload: bytes) -> str:
-    """Return a refusal's reason, escaped for a person."""
-    return printable(payload[:MAX_REASON].decode(errors="ignore"))

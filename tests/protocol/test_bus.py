@@ -1,5 +1,6 @@
-"""The contract of every bus: one class of tests over all of them."""
+"""The contract of every bus, one class of tests over all; and bundles sent over one."""
 
+import hashlib
 import socket
 import subprocess
 import sys
@@ -16,11 +17,12 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 from tests.common import PATIENCE, free_port, own_endpoint
 
-from qdgrasp_protocol import session
+from qdgrasp_protocol import bundle_transfer, messages, session
 from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Query, Sample
-from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, NoReply, Refused
-from qdgrasp_protocol.keys import matches
+from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, MessageError, NoReply, Refused
+from qdgrasp_protocol.keys import Keys, matches
 from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
+from qdgrasp_protocol.messages import Chunk
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 
@@ -423,3 +425,68 @@ def test_every_drop_is_counted_and_few_are_told() -> None:
     assert drops.count == 10_000
     assert [line["dropped"] for line in said] == [2**power for power in range(14)]
     assert all(len(line["key"]) <= 200 for line in said)
+
+
+KEYS = Keys("mugs")
+
+
+def digest(payload: bytes) -> str:
+    return hashlib.sha256(payload).hexdigest()
+
+
+@pytest.mark.parametrize(
+    "length",
+    [
+        0,
+        1,
+        bundle_transfer.CHUNK_SIZE - 1,
+        bundle_transfer.CHUNK_SIZE,
+        bundle_transfer.CHUNK_SIZE + 1,
+        3 * bundle_transfer.CHUNK_SIZE,
+    ],
+)
+def test_a_bundle_of_any_length_arrives_whole(length: int) -> None:
+    payload = bytes(i % 251 for i in range(length))
+    network = MemoryNetwork()
+    with network.session() as coordinator, network.session() as worker:
+        coordinator.answer(
+            KEYS.asset(), lambda query: bundle_transfer.answer_chunk(query, payload, digest(payload))
+        )
+        assert bundle_transfer.fetch_bundle(worker, "mugs", digest(payload)) == payload
+
+
+@pytest.mark.parametrize("parameters", ["", "i=", "i=2", "i=-1", "i=x", "j=0", "i=²"])
+def test_a_chunk_that_there_is_not_is_refused(parameters: str) -> None:
+    with pytest.raises(Refused, match="is not one of 2"):
+        bundle_transfer.answer_chunk(
+            Query(KEYS.asset("a"), parameters, b""), bytes(bundle_transfer.CHUNK_SIZE + 1), "a"
+        )
+
+
+def test_another_scene_is_refused() -> None:
+    with pytest.raises(Refused, match="no such scene"):
+        bundle_transfer.answer_chunk(Query(KEYS.asset("b"), "i=0", b""), b"scene", "a")
+
+
+def test_what_is_not_the_scene_of_its_digest_is_refused() -> None:
+    network = MemoryNetwork()
+    with network.session() as bus:
+        with pytest.raises(NoReply):
+            bundle_transfer.fetch_bundle(bus, "mugs", "a" * 64)
+        bus.answer(KEYS.asset(), lambda query: messages.encode(Chunk(total=1, data=b"another")))
+        with pytest.raises(MessageError, match="is not aaaaaaaaaaaa"):
+            bundle_transfer.fetch_bundle(bus, "mugs", "a" * 64)
+
+
+def test_a_scene_that_is_said_to_be_too_large_is_not_even_fetched() -> None:
+    asked = []
+
+    def answer(query: Query) -> bytes:
+        asked.append(query.parameters)
+        return messages.encode(Chunk(total=4096, data=b""))
+
+    with MemoryNetwork().session() as bus:
+        bus.answer(KEYS.asset(), answer)
+        with pytest.raises(MessageError, match="4096 chunks, more than 256"):
+            bundle_transfer.fetch_bundle(bus, "mugs", "a" * 64)
+    assert asked == ["i=0"]

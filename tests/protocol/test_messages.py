@@ -1,4 +1,4 @@
-"""Messages survive the trip, and nothing else is taken for one."""
+"""Messages survive the trip, and nothing else is taken for one; genomes and their values."""
 
 import math
 import random
@@ -6,6 +6,7 @@ from typing import Any
 
 import msgpack
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Join, Joined, Message, Recordable, Recorded, Result, shorten
+from qdgrasp_protocol.rows import Gene, Layout
 
 KINDS = [
     kind
@@ -232,3 +234,19 @@ def test_a_worker_names_its_host_in_one_plain_word(host: str) -> None:
     assert messages.decode(msgpack.packb(join | {"host": "node-7.lab"}), Join).host == "node-7.lab"
     with pytest.raises(MessageError, match="host"):
         messages.decode(msgpack.packb(join | {"host": host}), Join)
+
+
+LAYOUT = Layout("contact", (Gene("x", -0.13, 0.21), Gene("omega", 0.0, 2 * np.pi), Gene("synergy", 0.0, 0.0)))
+
+
+def test_genomes_of_values_stand_for_these_values() -> None:
+    genomes = np.random.default_rng(0).uniform(-1, 1, (500, 3)).astype(np.float32)
+    values = LAYOUT.values(genomes)
+    assert LAYOUT.values(LAYOUT.genomes(values)) == pytest.approx(values, abs=1e-6)
+    assert LAYOUT.genomes(values).dtype == np.float32
+
+
+def test_values_outside_their_interval_become_its_borders() -> None:
+    genomes = LAYOUT.genomes(np.array([[-0.14, 7.0, 0.0], [0.3, -0.1, 0.0]]))
+    assert genomes.tolist() == [[-1, 1, 0], [1, -1, 0]]
+    assert LAYOUT.values(genomes)[0, 0] == -0.13

@@ -1,5 +1,7 @@
-"""The world in Bullet: what is loaded, how it moves, and that it forgets."""
+"""The world in Bullet: what is loaded, how it moves, that it forgets, and what it prints."""
 
+import ctypes
+import os
 import tempfile
 
 import msgspec
@@ -11,6 +13,7 @@ from qdgrasp_assets.catalog import GRIPPERS
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_worker.bullet import quiet
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
 from qdgrasp_worker.world import World
@@ -167,3 +170,31 @@ def test_a_joint_that_is_not_there_is_an_asset_error(cube):
     joints = (msgspec.structs.replace(cube.gripper.joints[0], name="thumb"),)
     with pytest.raises(AssetError, match=r"no joint 'thumb'. It has: panda_finger_joint1"):
         World(with_gripper(cube, joints=joints))
+
+
+def test_what_c_prints_meanwhile_is_not_seen_even_if_it_is_written_late(capfd):
+    with quiet():
+        ctypes.CDLL(None).printf(b"from C, buffered\n")
+        os.write(1, b"from C, at once\n")
+        os.write(2, b"a warning\n")
+    ctypes.CDLL(None).fflush(None)
+    seen = capfd.readouterr()
+    assert seen.out == ""
+    assert seen.err == ""
+
+
+def test_what_is_printed_before_and_after_is_seen(capfd):
+    print("before")  # noqa: T201
+    with quiet():
+        os.write(1, b"meanwhile")
+    os.write(1, b"after\n")
+    assert capfd.readouterr().out == "before\nafter\n"
+
+
+def test_streams_come_back_after_an_exception(capfd):
+    try:
+        with quiet():
+            raise ValueError
+    except ValueError:
+        os.write(1, b"here")
+    assert capfd.readouterr().out == "here"

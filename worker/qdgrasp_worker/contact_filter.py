@@ -84,7 +84,7 @@ def scalar_product(a: Vector, b: Vector | list[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-VOXEL_PITCH = 3e-3  # The side of a voxel [m]; larger for a hand that passes through more than `MOST` voxels
+VOXEL_PITCH = 3e-3  # The side of a voxel [m]; larger for a hand that passes through more than `MAX_VOXELS`
 MAX_VOXELS = 1 << 22
 KNOWN_DISTANCE = 0.03  # How far about the shapes distances are known [m]
 DISTANCE_UNIT = 2e-4
@@ -100,7 +100,7 @@ class DistanceField:
     """Lower bounds of the distance to the volume that shapes pass through, in a link's frame."""
 
     distances: VoxelGrid
-    """In units of `UNIT`, rounded down; beyond the box its rim stands for what is outside."""
+    """In units of `DISTANCE_UNIT`, rounded down; its rim stands for all outside the box."""
 
     @classmethod
     def of(cls, courses: Iterable[tuple[Hull, Floats]]) -> Self:

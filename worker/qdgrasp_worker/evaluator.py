@@ -91,12 +91,7 @@ class Evaluator(BatchEvaluator):
     (docs/decisions/0007-evaluation-shortcuts.md).
 
     An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
-    batch, or of the process (docs/reproducibility.md).
-
-    Raises
-    ------
-    AssetError
-        Bullet cannot load the scene.
+    batch, or of the process (docs/reproducibility.md). An AssetError if Bullet cannot load the scene.
     """
 
     def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:

@@ -120,7 +120,8 @@ class SweptVolumes:
 def motion_directions(course: Floats, hull: Hull, axis: Floats) -> NDArray[np.int32]:
     """In which directions across `axis` (3,) a hull is carried through frames (n, 4, 4): (n, 3).
 
-    Their length is `UNIT`, or less where it goes along the axis: what is drawn that way, the palm stops.
+    Their length is `DIRECTION_UNIT`, or less where it goes along the axis: what is drawn that way, the palm
+    stops.
     """
     centre = hull.triangles.reshape(-1, 3).mean(axis=0)
     moves = np.gradient(course[:, :3, :3] @ centre + course[:, :3, 3], axis=0)

@@ -15,7 +15,15 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_worker.hand_geometry import HandKinematics
 from qdgrasp_worker.replay.recorder import still_snapshot
-from qdgrasp_worker.replay.renderer import NO_LINK, Renderer, SegmentationMask, best_view, camera_around
+from qdgrasp_worker.replay.renderer import (
+    FILLED_SHARE,
+    NO_LINK,
+    Renderer,
+    SegmentationMask,
+    best_view,
+    corners_around,
+    fit_camera,
+)
 from qdgrasp_worker.replay.replay import EpisodeReplay
 
 WIDTH, HEIGHT = 640, 480
@@ -134,9 +142,8 @@ class Watched:
         replay = EpisodeReplay(scene, request(row, width=WIDTH, height=HEIGHT))
         snapshot = still_snapshot(replay.snapshots)
         with Renderer(scene) as renderer:
-            camera = camera_around(
-                renderer, [snapshot], snapshot, best_view(renderer, snapshot), WIDTH / HEIGHT
-            )
+            corners = corners_around(renderer, [snapshot], snapshot)
+            camera = fit_camera(corners, *best_view(renderer, snapshot), WIDTH / HEIGHT)
             renderer.place(snapshot)
             self.seen: SegmentationMask = renderer.segment(camera, WIDTH, HEIGHT)
             names = renderer._bullet.links(renderer._hand.body)
@@ -200,3 +207,36 @@ def test_the_object_is_drawn_where_the_simulator_has_it(on_the_cube):
     moved = corners @ watched.object[:3, :3].T + watched.object[:3, 3]
     assert within(watched.seen.is_object, watched.camera.pixels(moved))
     assert not within(watched.seen.is_object, watched.camera.pixels(moved + 0.01))
+
+
+PICTURE = 400, 300
+"""Columns and rows of a picture."""
+CLOUD = np.random.default_rng(0).uniform((0.1, -0.2, -0.1), (0.4, 0.1, 0.2), (50, 3))
+VIEWS = [(0, 0), (40, 25), (200, -30), (90, 80), (-15, 90)]
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_everything_is_in_the_picture_and_fills_it(view):
+    pixels = fit_camera(CLOUD, *view, 4 / 3).camera(*PICTURE).pixels(CLOUD)
+    shares = np.abs(pixels / PICTURE - 0.5) * 2
+    assert shares.max() == pytest.approx(FILLED_SHARE, abs=0.02)
+
+
+@pytest.mark.parametrize("view", VIEWS[:4], ids=str)
+def test_the_objects_z_points_up_in_the_picture(view):
+    camera = fit_camera(CLOUD, *view, 4 / 3).camera(*PICTURE)
+    (column, row), (above, higher) = camera.pixels(np.array([[0.2, 0, 0.1], [0.2, 0, 0.14]]))
+    assert above == pytest.approx(column, abs=12)
+    assert higher < row
+
+
+def test_who_looks_along_minus_x_has_y_to_the_right():
+    camera = fit_camera(CLOUD, 0.0, 0.0, 4 / 3).camera(*PICTURE)
+    (left, _), (right, _) = camera.pixels(np.array([[0.2, 0.0, 0.1], [0.2, 0.05, 0.1]]))
+    assert right > left
+
+
+def test_what_is_nearer_is_larger():
+    camera = fit_camera(CLOUD, 0.0, 0.0, 4 / 3).camera(*PICTURE)
+    near, far = (np.ptp(camera.pixels(np.array([[x, -0.05, 0.1], [x, 0.05, 0.1]]))[:, 0]) for x in (0.4, 0.1))
+    assert near > far

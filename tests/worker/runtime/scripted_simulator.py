@@ -12,13 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from tests.worker.runtime.leased_batches import GENES
 
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.messages import Work
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation
 from qdgrasp_worker.runtime.simulator_main import REPORT_INTERVAL, main
 
+GENES = 2
 COMMAND = [sys.executable, "-m", "tests.worker.runtime.scripted_simulator"]
 SHAPE = RowShape(GENES, joints=2)
 PLATFORM = {"simulator": "a stand-in"}
@@ -82,6 +83,34 @@ DEEDS: list[Callable[[], object]] = [
 ]
 """By the second gene."""
 NOTHING, ABORT, HANG, SLEEP, RAISE, LEAK, TAKE_EVERYTHING, BE_KILLED, EXIT, DAWDLE, WAIT = range(len(DEEDS))
+
+
+def work(
+    batch: int = 1, epoch: int = 1, join: int = 1, n: int = 1, scene: str = "0" * 64, **deeds: int
+) -> Work:
+    """A batch of n rows whose genomes hold their place, and the simulator's deed: `row_3=ABORT`."""
+    genomes = np.zeros((n, GENES), dtype="<f4")
+    genomes[:, 0] = np.arange(n)
+    for row, deed in deeds.items():
+        genomes[int(row.removeprefix("row_")), 1] = deed
+    columns = {
+        "index": np.arange(n, dtype="<u4").tobytes(),
+        "trial": bytes(2 * n),
+        "genome": genomes.tobytes(),
+    }
+    return Work(
+        epoch=epoch,
+        run="run",
+        scene=scene,
+        prior="contact",
+        generation=0,
+        batch=bytes([batch]) * 16,
+        attempt=1,
+        join=join,
+        n=n,
+        genes=GENES,
+        columns=columns,
+    )
 
 
 class ScriptedEvaluator:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.worker.runtime.leased_batches import GENES, work
+from tests.worker.runtime.scripted_simulator import GENES, work
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.messages import Failure, Result

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from math import inf
 
 import pytest
-from tests.worker.runtime.leased_batches import work
+from tests.worker.runtime.scripted_simulator import work
 
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork

@@ -10,8 +10,8 @@ import pytest
 from structlog.testing import capture_logs
 from tests.worker.runtime import scripted_simulator
 from tests.worker.runtime.fake_coordinator import LeasingCoordinator
-from tests.worker.runtime.leased_batches import work
 from tests.worker.runtime.running_worker import GRACE, RunningWorker
+from tests.worker.runtime.scripted_simulator import work
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import Keys

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from tests.common import PATIENCE
 from tests.worker.runtime import scripted_simulator
-from tests.worker.runtime.leased_batches import work
+from tests.worker.runtime.scripted_simulator import work
 
 from qdgrasp_protocol.messages import Result, Work
 from qdgrasp_worker.runtime import simulator_supervisor

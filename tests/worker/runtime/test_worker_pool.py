@@ -15,18 +15,9 @@ def parsed(given: list[str]) -> typer.Context:
 
 
 def test_workers_of_a_team_are_started_with_the_options_of_the_team_but_for_its_own():
-    given = [
-        "--connect",
-        "tls/a:1,tls/b:2",
-        "--security",
-        "here",
-        "--workers",
-        "4",
-        "--pin",
-        "--grace",
-        "9.5",
-    ]
-    team = parsed(given)
+    team = parsed(
+        ["--connect", "tls/a:1,tls/b:2", "--security", "here", "--workers", "4", "--pin", "--grace", "9.5"]
+    )
     member = parsed(worker_arguments(team))
     changed = {name for name, value in team.params.items() if member.params[name] != value}
     assert changed == set(POOL_OPTIONS)

@@ -63,8 +63,6 @@ def look_along(directions: Floats, omega: Floats, hand: SceneGripper) -> Floats:
 
 
 CONTACT = ConePrior("contact")
-
-
 APPROACH = ConePrior("approach")
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
@@ -59,7 +59,7 @@ PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
 
 
 class RecordingWorld(World):
-    """A world that records its last evaluation; a context manager that leaves it."""
+    """A world that records its last evaluation."""
 
     _is_watching = False  # while the world is made its hand closes on nothing
     _phase: Phase = "placed"
@@ -73,12 +73,6 @@ class RecordingWorld(World):
         self._links = {BASE: "root"} | {number: link.link for number, link in enumerate(links)}
         self.snapshots: list[Snapshot] = []
         self._is_watching = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def reset(
         self, pose: HandPose, posture: Sequence[float], frictions: tuple[float, float] | None = None

@@ -6,7 +6,7 @@ renderer for machines without a screen. The camera, in OpenGL's matrices, is pla
 evaluation is in the picture.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Self
@@ -171,7 +171,9 @@ class Renderer:
         self._joints = [*self._hand.carrier, *self._hand.others, *self._hand.fingers]
         shape = scene.object.collision if parts else surface_obj(scene.object)
         self._target = load_body(self._bullet, OBJECT_URDF, {"shape.obj": shape}, fixed=False)
-        self._paint()
+        for link in self._hand.shaped_links:
+            self._colour(self._hand.body, link, BLUE if link in self.fingers else STEEL)
+        self._colour(self._target, BASE, CLAY)
 
     def __enter__(self) -> Self:
         return self
@@ -201,14 +203,13 @@ class Renderer:
 
     def draw(self, camera: CameraMatrices, width: int, height: int) -> NDArray[np.uint8]:
         """Draw what is there: (rows, columns, 3)."""
-        colours, _ = self._see(camera, width, height, shadow=False, flags=pb.ER_NO_SEGMENTATION_MASK)
+        colours, _ = self._see(camera, width, height, pb.ER_NO_SEGMENTATION_MASK)
         image: NDArray[np.uint8] = colours.astype(np.uint8).reshape(height, width, 4)[:, :, :3]
         return image
 
     def segment(self, camera: CameraMatrices, width: int, height: int) -> SegmentationMask:
         """Return the body and link at each pixel of the present picture."""
-        flags = pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX
-        _, mask = self._see(camera, width, height, shadow=False, flags=flags)
+        _, mask = self._see(camera, width, height, pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX)
         numbers = mask.astype(np.int64).reshape(height, width)
         bodies, links = numbers & ((1 << LINK_BITS) - 1), (numbers >> LINK_BITS) - 1
         is_there = numbers >= 0
@@ -216,7 +217,7 @@ class Renderer:
         return SegmentationMask(np.where(is_hand, links, NO_LINK), is_there & (bodies == self._target))
 
     def _see(
-        self, camera: CameraMatrices, width: int, height: int, *, shadow: bool, flags: int
+        self, camera: CameraMatrices, width: int, height: int, flags: int
     ) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
         """The colours and the mask of a picture."""
         _, _, colours, _, mask = pb.getCameraImage(
@@ -225,18 +226,13 @@ class Renderer:
             viewMatrix=camera.view.T.ravel().tolist(),
             projectionMatrix=camera.projection.T.ravel().tolist(),
             lightDirection=(camera.view[:3, :3].T @ LIGHT_DIRECTION).tolist(),
-            shadow=shadow,
+            shadow=False,
             flags=flags,
             renderer=pb.ER_TINY_RENDERER,
             physicsClientId=self._bullet._client,
             **LIGHT_SETTINGS,
         )
         return np.asarray(colours), np.asarray(mask)
-
-    def _paint(self) -> None:
-        for link in self._hand.shaped_links:
-            self._colour(self._hand.body, link, BLUE if link in self.fingers else STEEL)
-        self._colour(self._target, BASE, CLAY)
 
     def _colour(self, body: int, link: int, colour: tuple[float, ...]) -> None:
         pb.changeVisualShape(body, link, rgbaColor=colour, physicsClientId=self._bullet._client)
@@ -256,26 +252,17 @@ OBJECT_CORNERS = -8  # Where in the corners of all that is there those of the ob
 PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture that is only counted
 
 
-def camera_around(
-    renderer: Renderer,
-    snapshots: Sequence[Snapshot],
-    still: Snapshot,
-    view: tuple[float, float],
-    aspect: float,
-) -> CameraMatrices:
-    """The camera that has all of `snapshots` in its picture."""
-    return fit_camera(corners_around(renderer, snapshots, still), *view, aspect)
-
-
 def best_view(renderer: Renderer, still: Snapshot) -> tuple[float, float]:
     """Azimuth and elevation [deg] from which the most of both fingers and object is seen."""
     corners = corners_around(renderer, [still], still)
     renderer.place(still)
-    views = list(product(AZIMUTHS, ELEVATIONS))
-    scores = [
-        _score(renderer, fit_camera(corners, *view, PREVIEW_SIZE[0] / PREVIEW_SIZE[1])) for view in views
-    ]
-    azimuth, elevation = views[int(np.argmax(scores))]
+
+    def score(view: tuple[int, int]) -> float:
+        seen = renderer.segment(fit_camera(corners, *view, PREVIEW_SIZE[0] / PREVIEW_SIZE[1]), *PREVIEW_SIZE)
+        fingers = np.isin(seen.links, list(renderer.fingers)).sum()
+        return float(fingers * seen.is_object.sum())
+
+    azimuth, elevation = max(product(AZIMUTHS, ELEVATIONS), key=score)
     return float(azimuth), float(elevation)
 
 
@@ -288,9 +275,3 @@ def corners_around(renderer: Renderer, snapshots: Iterable[Snapshot], still: Sna
         here = renderer.corners()
         corners.append(here if snapshot.touches else here[:OBJECT_CORNERS])
     return np.concatenate(corners)
-
-
-def _score(renderer: Renderer, seen_by: CameraMatrices) -> float:
-    seen = renderer.segment(seen_by, *PREVIEW_SIZE)
-    fingers = np.isin(seen.links, list(renderer.fingers)).sum()
-    return float(fingers * seen.is_object.sum())

@@ -8,6 +8,7 @@ where an evaluation would know by then that it misses.
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
@@ -16,7 +17,6 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import replay
@@ -45,7 +45,7 @@ from qdgrasp_worker.replay.recorder import (
     animation,
     still_snapshot,
 )
-from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, camera_around
+from qdgrasp_worker.replay.renderer import Renderer, Snapshot, best_view, corners_around, fit_camera
 
 OVERSAMPLING = 2  # So many pixels are drawn for each that is shown, along each axis
 Frames = NDArray[np.uint8]
@@ -60,7 +60,7 @@ class EpisodeReplay:
     def __init__(self, scene: Scene, request: ReplayRequest) -> None:
         self._scene = scene
         self._request = request
-        with RecordingWorld(scene) as world:
+        with closing(RecordingWorld(scene)) as world:
             episode = Episode(world, PROTOCOLS[scene.protocol], stops_early=False)
             self.verdict: EpisodeResult = episode.run(requested_trial(scene, request))
             self.snapshots = world.snapshots
@@ -80,7 +80,8 @@ class EpisodeReplay:
         with Renderer(self._scene, parts=request.parts) as renderer:
             grasp = still_snapshot(self.snapshots)
             view = request.view or best_view(renderer, grasp)
-            camera = camera_around(renderer, [timed.snapshot for timed in shown], grasp, view, width / height)
+            corners = corners_around(renderer, [timed.snapshot for timed in shown], grasp)
+            camera = fit_camera(corners, *view, width / height)
             frames = make(len(shown), height, width)
             for frame, timed in zip(frames, shown, strict=True):
                 renderer.place(timed.snapshot)
@@ -93,7 +94,8 @@ class EpisodeReplay:
         root[:3, :3] = Rotation.from_quat(snapshot.root[1]).as_matrix()
         root[:3, 3] = snapshot.root[0]
         positions = dict(zip(self._joints, snapshot.joints, strict=True))
-        return pose_of_frame(self._robot.forward(positions, root)[self._scene.gripper.base_link])
+        frame = self._robot.forward(positions, root)[self._scene.gripper.base_link]
+        return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
 
     def _answer(self, shown: list[TimedSnapshot], camera: ReplayCamera) -> ReplayAnswer:
         found = self.verdict
@@ -128,19 +130,11 @@ def requested_trial(scene: Scene, request: ReplayRequest) -> TrialSetup:
 
 def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The means of squares of `OVERSAMPLING` by `OVERSAMPLING` pixels."""
-    parts = [
-        image[row::OVERSAMPLING, column::OVERSAMPLING]
-        for row in range(OVERSAMPLING)
-        for column in range(OVERSAMPLING)
-    ]
-    total = np.asarray(np.sum(parts, axis=0, dtype=np.uint16))
-    means = (total + OVERSAMPLING * OVERSAMPLING // 2) // (OVERSAMPLING * OVERSAMPLING)
-    return means.astype(np.uint8)
-
-
-def pose_of_frame(frame: Floats) -> replay.Pose:
-    """A frame (4, 4) as a position and a quaternion."""
-    return make_pose(frame[:3, 3].tolist(), Rotation.from_matrix(frame[:3, :3]).as_quat().tolist())
+    rows, columns = image.shape[0] // OVERSAMPLING, image.shape[1] // OVERSAMPLING
+    squares = image.reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, 3)
+    total = squares.sum(axis=(1, 3), dtype=np.uint16)
+    means: NDArray[np.uint8] = ((total + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
+    return means
 
 
 def make_pose(position: list[float], quaternion: list[float]) -> replay.Pose:
@@ -168,9 +162,8 @@ def replay_folder(folder: Path) -> None:
             answer = EpisodeReplay(unpack_scene((folder / SCENE).read_bytes()), request).render(make)
             (folder / ANSWER).write_bytes(msgspec.json.encode(answer))
         except OSError as error:
-            raise InputError(
-                f"The frames do not fit into {folder.parent}: {error.strerror or error}."
-            ) from None
+            reason = error.strerror or error
+            raise InputError(f"The frames do not fit into {folder.parent}: {reason}.") from None
 
 
 if __name__ == "__main__":

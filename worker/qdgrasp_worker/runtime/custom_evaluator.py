@@ -22,7 +22,7 @@ from qdgrasp_assets.genes import AIMED
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.evaluator import (
     REASON_LENGTH,
@@ -102,7 +102,8 @@ class CustomEvaluator(BatchEvaluator):
             if len(places) > 1:
                 alone = (slice(i, i + 1) for i in range(len(places)))
                 return [failure for one in alone for failure in self._judged(rows, hands[one], places[one])]
-            _clear_failed_row(rows, int(places[0]))
+            for column in RESULT:
+                rows[column.name][places] = 0
             return [(int(places[0]), f"{type(error).__name__}: {error}"[:REASON_LENGTH])]
         for name, values in columns.items():
             rows[name][places] = values
@@ -121,14 +122,6 @@ def _fill_poses(rows: Rows, grasps: DecodedGrasps, is_posed: NDArray[np.bool_]) 
     }
     for name, values in columns.items():
         rows[name][is_posed] = values[is_posed]
-
-
-def _clear_failed_row(rows: Rows, place: int) -> None:
-    """Leave zeros where a row has failed, but for what was asked."""
-    asked = {name: rows[name][place].copy() for name in ("genome", "trial")}
-    rows[place] = np.zeros((), dtype=rows.dtype)
-    for name, value in asked.items():
-        rows[name][place] = value
 
 
 def load_evaluator(what: str) -> tuple[EvaluatorFactory, Path]:

@@ -1,7 +1,7 @@
 """Interface of custom evaluators: hands in, verdicts out, as arrays, without any simulator."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -40,16 +40,8 @@ class Hands:
         return len(self.base_to_object)
 
     def __getitem__(self, places: slice | NDArray[np.intp]) -> "Hands":
-        return Hands(
-            self.base_to_object[places],
-            self.joints[places],
-            self.synergies[places],
-            self.frictions[places],
-            self.trials[places],
-            self.surface_points[places],
-            self.prior,
-            self.genomes[places],
-        )
+        arrays = {name: value[places] for name, value in vars(self).items() if name != "prior"}
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True)
@@ -69,7 +61,8 @@ class Verdicts:
 
     def columns(self, hands: Hands) -> dict[str, NDArray[np.generic]]:
         """The columns of rows that they fill; a BadVerdict if a shape or a value is impossible."""
-        n, joints = len(hands), hands.joints.shape[1]
+        n, zeros = len(hands), np.zeros(len(hands))
+        joints = hands.joints if self.joints is None else self.joints
         outcomes = _checked_array("outcomes", self.outcomes, (n,)).astype(np.int64)
         if not ((outcomes >= Outcome.OVERLAP) & (outcomes <= Outcome.HELD)).all():
             raise BadVerdict(f"outcomes must be {Outcome.OVERLAP:d} (OVERLAP) to {Outcome.HELD:d} (HELD)")
@@ -77,11 +70,11 @@ class Verdicts:
         return {
             "outcome": outcomes,
             "fitness": _checked_array("fitness", shakes if self.fitness is None else self.fitness, (n,)),
-            "joints": _checked_array(
-                "joints", hands.joints if self.joints is None else self.joints, (n, joints), least=None
+            "joints": _checked_array("joints", joints, (n, hands.joints.shape[1]), least=None),
+            "contacts": _checked_array("contacts", zeros if self.contacts is None else self.contacts, (n,)),
+            "penetration": _checked_array(
+                "penetration", zeros if self.penetration is None else self.penetration, (n,)
             ),
-            "contacts": _checked_array("contacts", _or_zeros(self.contacts, n), (n,)),
-            "penetration": _checked_array("penetration", _or_zeros(self.penetration, n), (n,)),
         }
 
 
@@ -104,7 +97,3 @@ def _checked_array(
     if not np.isfinite(array).all() or (least is not None and (array < least).any()):
         raise BadVerdict(f"{name} must be finite" + ("" if least is None else f" and at least {least:g}"))
     return array
-
-
-def _or_zeros(values: NDArray[np.generic] | None, n: int) -> NDArray[np.generic]:
-    return np.zeros(n) if values is None else values

@@ -93,8 +93,6 @@ class JobSession:
         """Return whether a coordinator of this epoch may be joined."""
         return epoch >= self.epoch or self.is_orphaned
 
-    # Joining.
-
     def on_coordinator(self, epoch: int, is_alive: bool, now: float) -> None:
         """Note that a coordinator's token is there, or is gone."""
         (self._coordinators.add if is_alive else self._coordinators.discard)(epoch)
@@ -174,8 +172,6 @@ class JobSession:
         """Return the messages that were kept, in their order, and forget them."""
         samples, self._deferred = self._deferred, []
         return samples
-
-    # Batches.
 
     def accept(self, work: Work) -> bool:
         """Take a leased batch; False when it is of another epoch or of an older join."""

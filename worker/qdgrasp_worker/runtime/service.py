@@ -199,8 +199,6 @@ class WorkerService:
             self._heartbeat_at = now + HEARTBEAT_INTERVAL
             self._send_heartbeat()
 
-    # Events come in.
-
     def _wait_seconds(self, now: float) -> float | None:
         """Seconds to wait for the inbox; None: for ever."""
         join_at = inf if self._simulator.platform is None else self._jobs.next_join
@@ -289,8 +287,6 @@ class WorkerService:
             self._shutdown.start(head if session is not None and session.has_coordinator else None, now)
             self._hand_back_all(now)
 
-    # Batches go to the simulator, and back.
-
     def _submit_batches(self, now: float) -> None:
         """Let the simulator have what it has room for."""
         while self._simulator.has_room and (task := self._next_batch()) is not None:
@@ -337,8 +333,7 @@ class WorkerService:
     def _hand_back(self, task: BatchProgress, now: float) -> None:
         """Let a batch go; the next join, which does not list it, has it evaluated elsewhere."""
         self._release(task)
-        session = self._jobs.get(task.job)
-        if session is not None:
+        if (session := self._jobs.get(task.job)) is not None:
             session.join_later(now, jitter())
 
     def _hand_back_all(self, now: float) -> None:
@@ -354,8 +349,7 @@ class WorkerService:
 
     def _release(self, task: BatchProgress) -> None:
         self._shutdown.on_released(task)
-        session = self._jobs.get(task.job)
-        if session is not None:
+        if (session := self._jobs.get(task.job)) is not None:
             session.release(task.work.batch)
 
     def _send_heartbeat(self) -> None:
@@ -370,7 +364,7 @@ class WorkerService:
             memory=self._simulator.memory + process_stats(os.getpid()).memory,
             restarts=self._simulator.restarts,
         )
+        payload = msgspec.json.encode(heartbeat)
         for session in self._jobs:
             key = Keys(session.job).stat(f"worker/{self.wid}")
-            payload = msgspec.json.encode(heartbeat)
             self._bus.put(key, payload, encoding="application/json", channel=Channel.MONITOR)

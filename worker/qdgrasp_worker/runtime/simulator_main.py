@@ -16,7 +16,7 @@ from qdgrasp_assets.scene import unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
-from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, RowShape, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_worker.evaluator import BatchEvaluator, Evaluator, EvaluatorCache
 from qdgrasp_worker.platform import platform
 from qdgrasp_worker.runtime import process_limits
@@ -31,8 +31,6 @@ from qdgrasp_worker.runtime.simulator_messages import (
     SimulatorMessage,
     SimulatorReady,
     SimulatorSettings,
-    decode,
-    encode,
 )
 
 REPORT_INTERVAL = 0.1  # Seconds between two parts of a batch, at least
@@ -59,12 +57,12 @@ class SimulatorMain:
     def evaluate(self, request: EvaluateRows) -> None:
         """Evaluate rows, and send their results."""
         if request.bundle is None and request.scene not in self._evaluators:
-            self._send(SceneMissing())
+            self._socket.send(SceneMissing())
             return
         try:
             self._evaluate_slices(self._evaluator(request), request)
         except (InputError, MessageError) as error:
-            self._send(BatchRejected(reason=str(error)))
+            self._socket.send(BatchRejected(reason=str(error)))
 
     def _evaluator(self, request: EvaluateRows) -> BatchEvaluator:
         def load() -> BatchEvaluator:
@@ -73,13 +71,15 @@ class SimulatorMain:
 
         evaluator = self._evaluators.get(request.scene, load)
         if request.bundle is not None:
-            self._send(SceneLoaded())
+            self._socket.send(SceneLoaded())
         return evaluator
 
     def _evaluate_slices(self, evaluator: BatchEvaluator, request: EvaluateRows) -> None:
         """Evaluate rows, slice by slice, and send their results at intervals."""
         shape = evaluator.shape(request.prior)
-        rows = read_rows(request, shape)
+        if request.genes != shape.genes:
+            raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")
+        rows = unpack(shape.empty(request.n), WORK_COLUMNS, request.columns, shape)
         failures: list[Failure] = []
         sent, sent_at, began = 0, time.monotonic(), time.process_time()
         for piece in slices(request.n, 1 if request.is_careful else evaluator.at_once):
@@ -91,31 +91,17 @@ class SimulatorMain:
             failures += [Failure(row=first + row, reason=shorten(reason)) for row, reason in found.failures]
             now = time.monotonic()
             if request.is_careful or piece.stop == request.n or now > sent_at + REPORT_INTERVAL:
-                ended = time.process_time()
-                self._send(partial_result(rows[sent : piece.stop], shape, failures, ended - began))
+                ended, part = time.process_time(), rows[sent : piece.stop]
+                result = PartialResult(
+                    n=len(part),
+                    joints=shape.joints,
+                    descriptors=shape.descriptors,
+                    columns=pack(part, RESULT),
+                    failures=failures,
+                    cpu_seconds=ended - began,
+                )
+                self._socket.send(result)
                 failures, sent, sent_at, began = [], piece.stop, now, ended
-
-    def _send(self, message: SimulatorMessage) -> None:
-        self._socket.send(encode(message))
-
-
-def read_rows(request: EvaluateRows, shape: RowShape) -> Rows:
-    """Rows with the keys and genomes of a request; a MessageError if they are not of this shape."""
-    if request.genes != shape.genes:
-        raise MessageError(f"the batch has {request.genes} genes, this scene has {shape.genes}")
-    return unpack(shape.empty(request.n), WORK_COLUMNS, request.columns, shape)
-
-
-def partial_result(rows: Rows, shape: RowShape, failures: list[Failure], seconds: float) -> PartialResult:
-    """The message with the results of rows, and the CPU seconds that they took."""
-    return PartialResult(
-        n=len(rows),
-        joints=shape.joints,
-        descriptors=shape.descriptors,
-        columns=pack(rows, RESULT),
-        failures=failures,
-        cpu_seconds=seconds,
-    )
 
 
 def slices(n: int, most: int) -> Iterator[slice]:
@@ -139,7 +125,7 @@ def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -
     process_limits.lower_priority(settings.nice)
     with process_limits.time_limit(process_limits.PROBE_SECONDS):
         found = probe()
-    connection.send(encode(SimulatorReady(platform=found)))
+    connection.send(SimulatorReady(platform=found))
     simulator = SimulatorMain(connection, settings.row_seconds, load)
     while (request := _receive(connection, EvaluateRows)) is not None:
         simulator.evaluate(request)
@@ -155,16 +141,13 @@ def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> N
     except (BrokenPipeError, ConnectionResetError):
         sys.exit(0)  # the worker is gone
     except Exception as error:  # noqa: BLE001  # whatever it is, the worker is told
-        connection.send(encode(SimulatorCrashed(reason=f"{type(error).__name__}: {error}")))
+        connection.send(SimulatorCrashed(reason=f"{type(error).__name__}: {error}"))
         sys.exit(1)
 
 
 def _receive(connection: FramedSocket, kind: type[M]) -> M | None:
-    data = connection.receive()
-    if data is None:
-        return None
-    message = decode(data)
-    if not isinstance(message, kind):
+    message = connection.receive()
+    if not (message is None or isinstance(message, kind)):
         raise MessageError(f"expected {kind.__name__}, got {type(message).__name__}")
     return message
 

@@ -19,45 +19,6 @@ LENGTH_HEADER = struct.Struct("<I")
 MAX_FRAME_SIZE = 1 << 30  # The longest frame [bytes]; a length above it is not one of ours
 
 
-class FramedSocket:
-    """One end of a stream socket, whose messages stand behind their lengths."""
-
-    def __init__(self, end: socket.socket) -> None:
-        self._end = end
-
-    def send(self, frame: bytes) -> None:
-        """Send a message, waiting while the other side is behind; an OSError if that is closed."""
-        self._end.sendall(LENGTH_HEADER.pack(len(frame)))
-        self._end.sendall(frame)
-
-    def receive(self) -> bytes | None:
-        """The next message; None where the socket is closed, or carries anything else."""
-        head = self._read(LENGTH_HEADER.size)
-        if head is None:
-            return None
-        (length,) = LENGTH_HEADER.unpack(head)
-        return self._read(length) if length <= MAX_FRAME_SIZE else None
-
-    def close(self) -> None:
-        """Close the socket, for both sides; closing twice is allowed."""
-        with suppress(OSError):
-            self._end.shutdown(socket.SHUT_RDWR)
-        self._end.close()
-
-    def _read(self, length: int) -> bytes | None:
-        buffer = bytearray(length)
-        view, have = memoryview(buffer), 0
-        while have < length:
-            try:
-                came = self._end.recv_into(view[have:])
-            except OSError:
-                return None
-            if not came:
-                return None
-            have += came
-        return bytes(buffer)
-
-
 class SimulatorMessage(Struct, frozen=True, kw_only=True, tag=True, forbid_unknown_fields=True):
     """The root of all messages."""
 
@@ -142,14 +103,40 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnySimulatorMessage] = msgspec.msgpack.Decoder(AnySimulatorMessage)
 
 
-def encode(frame: SimulatorMessage) -> bytes:
-    """A message as bytes."""
-    return _ENCODER.encode(frame)
+class FramedSocket:
+    """One end of a stream socket, whose messages stand behind their lengths."""
 
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
 
-def decode(data: bytes) -> AnySimulatorMessage:
-    """The message in `data`; a MessageError if it is not one."""
-    try:
-        return _DECODER.decode(data)
-    except msgspec.MsgspecError as error:
-        raise MessageError(f"not a frame: {str(error)!a}") from None
+    def send(self, message: SimulatorMessage) -> None:
+        """Send a message, waiting while the other side is behind; an OSError if that is closed."""
+        frame = _ENCODER.encode(message)
+        self._end.sendall(LENGTH_HEADER.pack(len(frame)))
+        self._end.sendall(frame)
+
+    def receive(self) -> AnySimulatorMessage | None:
+        """The next message; None where the socket is closed, a MessageError if it is not one."""
+        head = self._read(LENGTH_HEADER.size)
+        if head is None:
+            return None
+        (length,) = LENGTH_HEADER.unpack(head)
+        frame = self._read(length) if length <= MAX_FRAME_SIZE else None
+        try:
+            return None if frame is None else _DECODER.decode(frame)
+        except msgspec.MsgspecError as error:
+            raise MessageError(f"not a frame: {str(error)!a}") from None
+
+    def close(self) -> None:
+        """Close the socket, for both sides; closing twice is allowed."""
+        with suppress(OSError):
+            self._end.shutdown(socket.SHUT_RDWR)
+        self._end.close()
+
+    def _read(self, length: int) -> bytes | None:
+        buffer = bytearray(length)
+        view, have = memoryview(buffer), 0
+        with suppress(OSError):
+            while have < length and (came := self._end.recv_into(view[have:])):
+                have += came
+        return bytes(buffer) if have == length else None

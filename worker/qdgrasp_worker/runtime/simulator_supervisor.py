@@ -22,7 +22,6 @@ from typing import Self
 import structlog
 
 from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
-from qdgrasp_worker.runtime import simulator_messages
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.process_limits import (
     CPU_LIMIT_SIGNAL,
@@ -112,6 +111,7 @@ class SimulatorClient:
             self._process = subprocess.Popen(
                 command, stdin=its.fileno(), stdout=STANDARD_ERROR, start_new_session=True
             )
+        self.pid = self._process.pid
         self._socket = FramedSocket(ours)
         self._report = report
         self._outbox: SimpleQueue[SimulatorMessage | None] = SimpleQueue()
@@ -122,11 +122,6 @@ class SimulatorClient:
     def send(self, message: SimulatorMessage) -> None:
         """Send a message; it is read when the simulator has done all that was asked before."""
         self._outbox.put(message)
-
-    @property
-    def pid(self) -> int:
-        """The id of its process."""
-        return self._process.pid
 
     @property
     def stats(self) -> ProcessStats:
@@ -151,8 +146,8 @@ class SimulatorClient:
 
     def _read(self) -> None:
         try:
-            while (data := self._socket.receive()) is not None:
-                self._report(SimulatorSaid(self, simulator_messages.decode(data)))
+            while (message := self._socket.receive()) is not None:
+                self._report(SimulatorSaid(self, message))
         except MessageError:  # its memory is not what it was
             self._process.kill()
         self._report(SimulatorEnded(self, self._process.wait()))
@@ -161,7 +156,7 @@ class SimulatorClient:
     def _write(self) -> None:
         while (message := self._outbox.get()) is not None:
             try:
-                self._socket.send(simulator_messages.encode(message))
+                self._socket.send(message)
             except OSError:  # it ended; the reading thread reports that
                 break
         self._socket.close()
@@ -277,8 +272,6 @@ class SimulatorSupervisor:
     def __exit__(self, *_: object) -> None:
         self._simulator.close()
 
-    # Batches.
-
     @property
     def has_room(self) -> bool:
         """True if another batch may be submitted."""
@@ -321,8 +314,6 @@ class SimulatorSupervisor:
     def drop(self, task: BatchProgress) -> None:
         """Forget `next_requeued`."""
         self._requeued.remove(task)
-
-    # Events of the simulator.
 
     def on_event(self, event: SimulatorEvent, now: float) -> list[BatchProgress]:
         """Take a message or the end of the simulator; those of an older one are passed over.
@@ -389,8 +380,6 @@ class SimulatorSupervisor:
                 done.append(sent.pop(0))
         self._requeued.extendleft(reversed(sent))
         return done
-
-    # Time passes.
 
     @property
     def next_step(self) -> float:

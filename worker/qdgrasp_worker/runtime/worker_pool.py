@@ -17,7 +17,7 @@ log = structlog.get_logger()
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the workers
 STARTUP_SECONDS = 60.0  # seconds in which a worker that reaches its router begins to serve
-POOL_OPTIONS = ("workers", "pin")  # Options of the team, which its workers are not given
+POOL_OPTIONS = ("workers", "pin")  # Options of the pool, which its workers are not given
 
 
 class StartupCheck:
