@@ -12,7 +12,7 @@ help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo)"
 	@echo "make test    the test suite; make test-slow: the tests that take minutes each"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
-	@echo "make check   formatter, linter, types, imports between rooms"
+	@echo "make check   formatter, linter, types, imports between rooms, conventions of names and sizes"
 	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
 	@echo "make simulate   5000 histories of machines and links that fail, and what must always hold in them (HISTORIES=, FIRST=)"
@@ -41,6 +41,7 @@ check: $(VENV)/.ready
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.conventions
 
 docs: $(VENV)/.docs
 	@$(BIN)/python docs/website/build.py --out .site

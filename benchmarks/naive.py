@@ -19,8 +19,8 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Motor, pb
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.episode import OUTCOME_BY_SHAKES
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, PROTOCOLS, TARGET_STEPS, Shake
 from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.protocols import CLOSING_STEPS, PROTOCOLS, TARGET_STEPS, Shake
 from qdgrasp_worker.world import HandBody, ObjectBody, closing_joints, finger_motor
 
 

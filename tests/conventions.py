@@ -19,14 +19,14 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
 MOST_MODULES = 230
-MOST_LINES = 40_000
+MOST_LINES = 43_500
 MOST_TEST_FILES = 260
-MOST_TEST_LINES = 42_000
+MOST_TEST_LINES = 48_000
 MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 16
 MOST_IN_MODULE = 500
 MOST_IN_FIRST_LINE = 90
-LEAST_OF_ONE_NEIGHBOUR = 120
+LEAST_OF_ONE_NEIGHBOUR = 100
 """Lines: a shorter module whose only importer stands in the same folder belongs into that importer."""
 
 QUESTION_WORDS = ("what", "which", "who", "whose", "whoever", "whom", "how", "where", "whether", "why")

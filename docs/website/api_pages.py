@@ -1,7 +1,7 @@
 """The API reference, made from the docstrings of the source tree without importing it.
 
-The packages are those of the wheel in pyproject.toml; their modules are listed at build time. `qdgrasp` comes
-first, with what it exports described on its own page. Every other module has a page below its package.
+The packages are those of the wheel in pyproject.toml; their modules are listed at build time. `qdgrasp`
+comes first, with what it exports described on its own page. Every other module has a page below its package.
 """
 
 import re

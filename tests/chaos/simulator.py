@@ -1,7 +1,7 @@
 """A simulator that takes its time: CHAOS_PACE seconds for each row, besides what the evaluation takes.
 
-Where CHAOS_DEEDS names a folder it also fails in every way, once in each and never twice on the same row. The
-way is decided by the genome, and noted in that folder.
+Where CHAOS_DEEDS names a folder it also fails in every way, once in each and never twice on the same row.
+The way is decided by the genome, and noted in that folder.
 """
 
 import hashlib

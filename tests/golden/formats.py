@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from tests.coordinator.monitor.sample_jobs import event, run, values, views
 
 from qdgrasp_assets.scene import FORMAT as SCENE
-from qdgrasp_coordinator.export.yaml_formats import VERSION as ISAAC
+from qdgrasp_coordinator.export.isaac_moveit import VERSION as ISAAC
 from qdgrasp_coordinator.monitor.prometheus import exposition
 from qdgrasp_coordinator.storage.journal_schema import APPLICATION, FORMAT, REDUCED, JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter

@@ -17,7 +17,7 @@ from tests.simulation.simulation import Simulation, SimulationChecker
 from tests.simulation.worker import Worker
 
 from qdgrasp_coordinator.recorder import run_writer
-from qdgrasp_coordinator.scheduler import dispatcher, recorder_client
+from qdgrasp_coordinator.scheduler import lease_dispatcher, recorder_client
 
 
 class Faults:
@@ -146,7 +146,7 @@ SMALL = [
     (recorder_client, "MESSAGE_ROWS", 4),
     (recorder_client, "MOST_UNCONFIRMED", 8),
     (recorder_client, "REPLAY_ROWS", 7),
-    (dispatcher, "MOST_SETTLED", 30),
+    (lease_dispatcher, "MOST_SETTLED", 30),
     (run_writer, "GROUP_ROWS", 6),
     (run_writer, "MOST_WAITING", 150),
 ]

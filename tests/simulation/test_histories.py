@@ -18,8 +18,8 @@ from tests.simulation.play import Verdict, play
 from tests.simulation.process import INVARIANTS
 
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
-from qdgrasp_coordinator.scheduler.dispatcher import BatchTable
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.lease_dispatcher import BatchTable
 from qdgrasp_coordinator.search.aimed import FIRST_SCOUTS
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import AIMED, PAPER, Method

@@ -26,21 +26,10 @@ from qdgrasp_protocol.messages import Failure, Join, Joined, Result
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
-from qdgrasp_worker.runtime.background_requests import (
-    JOIN_SECONDS,
-    JoinAnswered,
-    SceneAnswered,
-    SceneStore,
-)
+from qdgrasp_worker.runtime.background_requests import JOIN_SECONDS, JoinAnswered, SceneAnswered, SceneStore
 from qdgrasp_worker.runtime.job_registry import JobSession
 from qdgrasp_worker.runtime.process_limits import STALL_SIGNAL, ProcessStats
-from qdgrasp_worker.runtime.service import (
-    CoordinatorSeen,
-    Event,
-    LinkChanged,
-    StopRequested,
-    WorkerService,
-)
+from qdgrasp_worker.runtime.service import CoordinatorSeen, Event, LinkChanged, StopRequested, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
     EvaluateRows,

@@ -23,9 +23,9 @@ from qdgrasp_worker.contact_filter import (
 )
 from qdgrasp_worker.decoder import Decoder, HandPose
 from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.hand_geometry import HandKinematics, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
-from qdgrasp_worker.protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.voxels import convex_hulls
 from qdgrasp_worker.world import World
 

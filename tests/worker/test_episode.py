@@ -9,7 +9,14 @@ from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker.bullet import Contact
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode, EpisodeResult
-from qdgrasp_worker.protocols import CLOSING_STEPS, PAPER, PROTOCOLS, RELEASED, TARGET_STEPS, TrialSetup
+from qdgrasp_worker.evaluation_protocols import (
+    CLOSING_STEPS,
+    PAPER,
+    PROTOCOLS,
+    RELEASED,
+    TARGET_STEPS,
+    TrialSetup,
+)
 
 PALM, FINGER, OTHER_FINGER = 5, 6, 7
 POSE = HandPose([0.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0], [0.04, 0.03], NO_SYNERGY)

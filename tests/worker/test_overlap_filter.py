@@ -9,10 +9,10 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
 from qdgrasp_worker.overlap_filter import OverlapFilter
-from qdgrasp_worker.protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.voxels import convex_hulls
 from qdgrasp_worker.world import World
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker import platform as module
+from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.platform import (
     PROBES,
@@ -16,7 +17,6 @@ from qdgrasp_worker.platform import (
     probe_scene,
     probes,
 )
-from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 
 
 def test_the_platform_names_versions_and_digests_in_words():

@@ -12,9 +12,9 @@ import pytest
 
 from qdgrasp_worker.bullet import quiet
 from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS
 from qdgrasp_worker.platform import EVALUATION
 from qdgrasp_worker.priors.surface_priors import ConePrior
-from qdgrasp_worker.protocols import PROTOCOLS
 from qdgrasp_worker.runtime.simulator_main import SimulatorMain
 from qdgrasp_worker.syntax_digest import Key, reached, read, syntax_digest
 

@@ -15,7 +15,7 @@ from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import quiet
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS
 from qdgrasp_worker.world import World
 
 FAR = HandPose([1.0, 1.0, 1.0], [0.5, 0.5, 0.5, 0.5], [0.04, 0.04], NO_SYNERGY)

@@ -6,7 +6,13 @@ from typing import NamedTuple
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.protocols import CLOSING_STEPS, TARGET_STEPS, EvaluationProtocol, Shake, TrialSetup
+from qdgrasp_worker.evaluation_protocols import (
+    CLOSING_STEPS,
+    TARGET_STEPS,
+    EvaluationProtocol,
+    Shake,
+    TrialSetup,
+)
 from qdgrasp_worker.world import World
 
 LOST_CHECK_EVERY = 5  # Steps of closing between two looks whether the object has left

@@ -20,8 +20,8 @@ from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
-from qdgrasp_worker.protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.screening import CandidateScreen, Shortlist
 from qdgrasp_worker.world import World
 

@@ -15,8 +15,8 @@ from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.bullet import STILL, UPRIGHT, Bullet, Contact, Motor
 from qdgrasp_worker.contact_filter import SweptBox
 from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake
 from qdgrasp_worker.hand_geometry import free_posture
-from qdgrasp_worker.protocols import CLOSING_STEPS, Shake
 
 HAND_GROUP, OBJECT_GROUP = 1, 2
 """Collision groups: a hand meets objects only, an object meets hands only."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
-from qdgrasp_coordinator.export import acronym, graspgen, tabular, yaml_formats
+from qdgrasp_coordinator.export import acronym, graspgen, isaac_moveit, tabular
 from qdgrasp_coordinator.export.frames import frame_of
 from qdgrasp_coordinator.export.grasp_set import Grasps, join_grasps, read_run, select_grasps
 from qdgrasp_coordinator.export.metadata import GraspMetadata, grasp_metadata
@@ -41,11 +41,11 @@ class ExportFormat:
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("isaac", yaml_formats.write_isaac, ".yaml", default_failures=None),
+        ExportFormat("isaac", isaac_moveit.write_isaac, ".yaml", default_failures=None),
         ExportFormat("acronym", acronym.write, ".h5"),
         ExportFormat("graspgen", graspgen.write, "", default_failures=ALL_FAILURES),
         ExportFormat("parquet", tabular.write_parquet, ".parquet"),
-        ExportFormat("moveit", yaml_formats.write_moveit, ".yaml", default_failures=None),
+        ExportFormat("moveit", isaac_moveit.write_moveit, ".yaml", default_failures=None),
         ExportFormat("csv", tabular.write_csv, ".csv"),
     )
 }

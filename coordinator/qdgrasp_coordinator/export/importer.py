@@ -18,7 +18,7 @@ from qdgrasp_assets.catalog import check_object, find_gripper, find_object, obje
 from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_coordinator.export import acronym, graspgen, tabular, yaml_formats
+from qdgrasp_coordinator.export import acronym, graspgen, isaac_moveit, tabular
 from qdgrasp_coordinator.export.frames import COM, MESH, Frame, change_frame, jaw_turn, turn_hand_axes
 from qdgrasp_coordinator.export.imported_grasps import (
     LONGEST,
@@ -135,7 +135,7 @@ READERS = (
     ImportFormat(lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), acronym.read),
     ImportFormat(lambda head: head.startswith(tabular.MAGIC), tabular.read_parquet),
     ImportFormat(lambda head: head.lstrip().startswith(b"{"), _read_json),
-    ImportFormat(lambda head: b"\0" not in head, yaml_formats.read_isaac),
+    ImportFormat(lambda head: b"\0" not in head, isaac_moveit.read_isaac),
 )
 
 

@@ -1,7 +1,7 @@
 """Figures of `qdgrasp bench`: evaluations per second of this machine's workers, by regime.
 
-Anywhere, most poses overlap or miss, and are rejected soon; near grasps, most are shaken to the end. A run is
-a mixture of both, so that these two regimes say what any run takes.
+Anywhere, most poses overlap or miss, and are rejected soon; near grasps, most are shaken to the end. A run
+is a mixture of both, so that these two regimes say what any run takes.
 """
 
 import importlib.metadata

@@ -1,8 +1,8 @@
 """Niches: bins of hand position, orientation and synergy, and the best success of each.
 
-The paper's archive and S_G tell grasps apart by position alone. A data set wants more: hands in one cell that
-look elsewhere, are rolled, or close other fingers. Beside that archive, which stays as it is, stands this
-one.
+The paper's archive and S_G tell grasps apart by position alone. A data set wants more: hands in one cell
+that look elsewhere, are rolled, or close other fingers. Beside that archive, which stays as it is, stands
+this one.
 """
 
 from collections.abc import Iterable, Iterator

@@ -1,8 +1,8 @@
 """Feed of the jobs on a bus: reads messages into the models, and queries what is missing.
 
 Messages wait in ring buffers until a thread takes them: however slow a monitor is, and though it be stopped,
-no other process waits for it. Another thread sends the queries: a missing answer delays nothing. `query_jobs`
-queries once, for commands that print and end.
+no other process waits for it. Another thread sends the queries: a missing answer delays nothing.
+`query_jobs` queries once, for commands that print and end.
 """
 
 import threading

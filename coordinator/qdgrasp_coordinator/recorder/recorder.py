@@ -3,8 +3,8 @@
 Decided without a thread or a clock (docs/bus.md, rule 8); time is passed in, in seconds of any steady clock.
 What is not known of a run is found in its folder, so a recorder that was started again goes on with any run.
 
-A run is reported at once when there is news of it, and then each second for a while after its last message: a
-report may be lost. No later report is due: a coordinator that still misses one sends its rows again, and
+A run is reported at once when there is news of it, and then each second for a while after its last message:
+a report may be lost. No later report is due: a coordinator that still misses one sends its rows again, and
 these are news.
 """
 

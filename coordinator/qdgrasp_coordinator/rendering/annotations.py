@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_protocol.replay import ContactPoint, Pose, ReplayCamera, ReplayFrame
+from qdgrasp_protocol.replay_messages import ContactPoint, Pose, ReplayCamera, ReplayFrame
 
 EDGE_MARGIN = 4  # Pixels between words and the edge of the picture
 LABEL_MARGIN = 1.0  # Pixels around words that belong to them

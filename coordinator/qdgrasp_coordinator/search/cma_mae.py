@@ -1,9 +1,9 @@
 """CMA-MAE: fifteen evolution strategies on pyribs that climb what their archive lacks.
 
 Huber et al. 2024, section IV, with the parameters of Fontaine and Nikolaidis 2023, "Covariance Matrix
-Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's released
-code. The objective of a simulated pose is its fitness; what was rejected (overlap, dead end, error, or a
-position outside the box) has f_min, so it is ranked last and never inserted.
+Adaptation MAP-Annealing": 15 emitters of 36, alpha 0.01, f_min -1; sigma0 0.5 is that of the paper's
+released code. The objective of a simulated pose is its fitness; what was rejected (overlap, dead end, error,
+or a position outside the box) has f_min, so it is ranked last and never inserted.
 
 Otherwise than in the released code every emitter starts at a point of its own, a rejected pose is not worth
 as much as a miss, and what is told is what was asked. As there, genomes are clipped for evaluation alone.

@@ -7,7 +7,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.storage import run_folder
-from qdgrasp_protocol.replay import ReplayAnswer
+from qdgrasp_protocol.replay_messages import ReplayAnswer
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows
 from qdgrasp_protocol.text import counted
 

@@ -22,7 +22,7 @@ from qdgrasp_coordinator.verification.replay_client import (
     replay_evaluation,
 )
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.replay import ReplayFrame
+from qdgrasp_protocol.replay_messages import ReplayFrame
 from qdgrasp_protocol.rows import Outcome
 
 REPLAY_MEANINGS = row_report.OUTCOME_MEANINGS | {

@@ -28,7 +28,15 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
 from qdgrasp_protocol.errors import FolderError, InputError, QdgraspError
 from qdgrasp_protocol.process import ProcessExit, ProcessGroup, Stop
-from qdgrasp_protocol.replay import ANSWER, FRAMES, REQUEST, SCENE, ReplayAnswer, ReplayPart, ReplayRequest
+from qdgrasp_protocol.replay_messages import (
+    ANSWER,
+    FRAMES,
+    REQUEST,
+    SCENE,
+    ReplayAnswer,
+    ReplayPart,
+    ReplayRequest,
+)
 from qdgrasp_protocol.rows import Outcome, Rows
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import structs
 
 from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, SettleReply
-from qdgrasp_coordinator.scheduler.dispatcher import Dispatcher
+from qdgrasp_coordinator.scheduler.lease_dispatcher import Dispatcher
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
 from qdgrasp_protocol.messages import VERSION, Failure, Join, Result

@@ -6,12 +6,7 @@ import random
 import pytest
 from tests.coordinator.scheduler.leases import join_message
 
-from qdgrasp_coordinator.scheduler.worker_registry import (
-    MOST_GONE,
-    RATE_SECONDS,
-    RateMeter,
-    WorkerRegistry,
-)
+from qdgrasp_coordinator.scheduler.worker_registry import MOST_GONE, RATE_SECONDS, RateMeter, WorkerRegistry
 
 SCENE = "0" * 64
 WORKERS = [f"{number:032x}" for number in range(6)]

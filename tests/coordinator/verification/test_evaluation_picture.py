@@ -30,7 +30,7 @@ from qdgrasp_coordinator.verification.replay_client import (
     ReplayTarget,
     replay_target,
 )
-from qdgrasp_protocol.replay import ContactPoint, Phase, ReplayAnswer, ReplayCamera, ReplayFrame
+from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayAnswer, ReplayCamera, ReplayFrame
 from qdgrasp_protocol.rows import Outcome
 
 SIZE = PictureSize(640, 560)

@@ -15,8 +15,8 @@ from qdgrasp_worker import world
 from qdgrasp_worker.bullet import STILL, UPRIGHT
 from qdgrasp_worker.decoder import Decoder, HandPose
 from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import PAPER, ROBUST, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.protocols import PAPER, ROBUST, TrialSetup
 from qdgrasp_worker.world import AWAY_POSITION, World
 
 POSES = 120

@@ -11,8 +11,8 @@ from tests.common import PATIENCE
 
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_protocol.rows import RESULT, TRIALS, Outcome, pack
+from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.protocols import MIXTURE, PROTOCOLS, ROBUST
 
 GENOMES = 900
 FEW = {Outcome.DROPPED: 1, Outcome.SHAKEN: 1, Outcome.HELD: 1}

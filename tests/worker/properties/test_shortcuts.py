@@ -13,9 +13,9 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import ROBUST
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.protocols import ROBUST
 from qdgrasp_worker.world import World
 
 HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.replay import ReplayPart, ReplayRequest
+from qdgrasp_protocol.replay_messages import ReplayPart, ReplayRequest
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
 from qdgrasp_worker.evaluator import Evaluator
 

@@ -14,7 +14,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_worker.hand_geometry import HandKinematics
-from qdgrasp_worker.replay.recorder import still_snapshot
+from qdgrasp_worker.replay.episode_recorder import still_snapshot
 from qdgrasp_worker.replay.renderer import (
     FILLED_SHARE,
     NO_LINK,

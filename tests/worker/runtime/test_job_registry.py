@@ -10,11 +10,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Control, Join, Joined
 from qdgrasp_worker.runtime.background_requests import JoinAnswered
-from qdgrasp_worker.runtime.job_registry import (
-    ABANDON_SECONDS,
-    JobRegistry,
-    JobSession,
-)
+from qdgrasp_worker.runtime.job_registry import ABANDON_SECONDS, JobRegistry, JobSession
 
 
 def answer(epoch: int = 1, drop: tuple[int, ...] = ()) -> Joined:

@@ -1,8 +1,8 @@
 """Replays one evaluation: carries it out again as it was, records it, and draws it.
 
-Started as `python -m qdgrasp_worker.replay.replay FOLDER` (`qdgrasp_protocol.replay`). The episode is the
-one that evaluates, in a world that records what happens. No shortcut is taken: the hand closes to the end
-where an evaluation would know by then that it misses.
+Started as `python -m qdgrasp_worker.replay.replay FOLDER` (`qdgrasp_protocol.replay_messages`). The episode
+is the one that evaluates, in a world that records what happens. No shortcut is taken: the hand closes to the
+end where an evaluation would know by then that it misses.
 """
 
 import os
@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, unpack_scene
-from qdgrasp_protocol import replay
+from qdgrasp_protocol import replay_messages
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.replay import (
+from qdgrasp_protocol.replay_messages import (
     ANSWER,
     FRAMES,
     REQUEST,
@@ -36,9 +36,9 @@ from qdgrasp_protocol.replay import (
 from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.episode import Episode, EpisodeResult
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.protocols import PROTOCOLS, TrialSetup
-from qdgrasp_worker.replay.recorder import (
+from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,
     RecordingWorld,
     TimedSnapshot,
@@ -88,7 +88,7 @@ class EpisodeReplay:
                 frame[...] = downsample(renderer.draw(camera, OVERSAMPLING * width, OVERSAMPLING * height))
         return self._answer(shown, camera.camera(width, height))
 
-    def hand(self, snapshot: Snapshot) -> replay.Pose:
+    def hand(self, snapshot: Snapshot) -> replay_messages.Pose:
         """The pose of the hand's base link."""
         root = np.eye(4)
         root[:3, :3] = Rotation.from_quat(snapshot.root[1]).as_matrix()
@@ -137,7 +137,7 @@ def downsample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return means
 
 
-def make_pose(position: list[float], quaternion: list[float]) -> replay.Pose:
+def make_pose(position: list[float], quaternion: list[float]) -> replay_messages.Pose:
     """A position [m] and a quaternion xyzw as one."""
     (x, y, z), (qx, qy, qz, qw) = position, quaternion
     return x, y, z, qx, qy, qz, qw

@@ -24,13 +24,7 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.evaluator import (
-    REASON_LENGTH,
-    ROWS_AT_ONCE,
-    BatchEvaluator,
-    Evaluation,
-    row_refusals,
-)
+from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
 from qdgrasp_worker.platform import code_digest
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
 from qdgrasp_worker.runtime.simulator_main import main as serve

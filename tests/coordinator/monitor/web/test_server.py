@@ -19,14 +19,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 from tests.common import PATIENCE, free_port
-from tests.coordinator.monitor.web.conftest import (
-    HERE,
-    STEP,
-    FakeFeed,
-    FakeLibrary,
-    client,
-    serving,
-)
+from tests.coordinator.monitor.web.conftest import HERE, STEP, FakeFeed, FakeLibrary, client, serving
 from tests.coordinator.monitor.web.test_scene_data import read as read_page
 from tests.coordinator.recorded_runs import random_rows, record
 

@@ -6,8 +6,8 @@ An Isaac file is for one hand and one object, joints by name. Public description
 do not know, such as the block `qdgrasp`.
 
 For MoveIt the list `grasps` has messages `moveit_msgs/msg/Grasp` (ROS 2). `grasp_pose` is that of the hand's
-root link, the parent link of the end effector, in the object's frame. The hand closes at that pose, as it was
-simulated; approach and retreat, along the hand's own approach axis, are suggestions.
+root link, the parent link of the end effector, in the object's frame. The hand closes at that pose, as it
+was simulated; approach and retreat, along the hand's own approach axis, are suggestions.
 """
 
 import json

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.replay import Phase, ReplayPart
+from qdgrasp_protocol.replay_messages import Phase, ReplayPart
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.bullet import BASE
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.protocols import Shake
+from qdgrasp_worker.evaluation_protocols import Shake
 from qdgrasp_worker.replay import renderer
 from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import World

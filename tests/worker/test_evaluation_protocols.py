@@ -13,7 +13,7 @@ from tests.common import PATIENCE
 
 from qdgrasp_protocol.rows import NO_SYNERGY, TRIALS, trial_count
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.protocols import MIXTURE, PAPER, PROTOCOLS, ROBUST, TrialSetup, pose_seen_from
+from qdgrasp_worker.evaluation_protocols import MIXTURE, PAPER, PROTOCOLS, ROBUST, TrialSetup, pose_seen_from
 
 POSES = 60
 DRAWS = POSES * TRIALS
@@ -24,7 +24,7 @@ ELSEWHERE = """
 import json
 from dataclasses import asdict
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.protocols import ROBUST
+from qdgrasp_worker.evaluation_protocols import ROBUST
 pose = HandPose([0.0, 0.0, 0.125], [1.0, 0.0, 0.0, 0.0], [0.25, 0.5], 1)
 print(json.dumps([asdict(ROBUST.trial(pose, number)) for number in range(101)]))
 """

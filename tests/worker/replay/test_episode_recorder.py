@@ -4,7 +4,7 @@ import pytest
 
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.replay.recorder import (
+from qdgrasp_worker.replay.episode_recorder import (
     FRAME_SECONDS,
     REST_SECONDS,
     STEPS_PER_FRAME,

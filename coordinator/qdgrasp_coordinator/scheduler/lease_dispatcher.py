@@ -1,8 +1,8 @@
 """Dispatch: which worker gets which batch, and which result counts.
 
-Rules 1, 5 and 6 of docs/bus.md as plain state. Evaluation is pure, so whatever is lost in flight is evaluated
-again, and the first result of a batch is as good as any other. Time is passed in, in seconds of any steady
-clock.
+Rules 1, 5 and 6 of docs/bus.md as plain state. Evaluation is pure, so whatever is lost in flight is
+evaluated again, and the first result of a batch is as good as any other. Time is passed in, in seconds of
+any steady clock.
 """
 
 from collections import OrderedDict

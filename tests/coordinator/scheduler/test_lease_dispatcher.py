@@ -23,7 +23,7 @@ from tests.coordinator.scheduler.leases import (
 )
 
 from qdgrasp_coordinator.scheduler.batch_queue import Settlement
-from qdgrasp_coordinator.scheduler.dispatcher import MOST_SETTLED, STRIKES
+from qdgrasp_coordinator.scheduler.lease_dispatcher import MOST_SETTLED, STRIKES
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, SCENES_KEPT, TOKEN_GRACE
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, decode, encode
